@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: MIT
+"""What can go wrong on the host. Messages name the offender and what would be right."""
+
+
+class HybridJaxError(Exception):
+    """Base of every error that this package raises on purpose."""
+
+
+class UnknownNameError(HybridJaxError):
+    """A name that is not in a list of names."""
+
+    def __init__(self, kind: str, name: object, known):
+        listed = ", ".join(sorted(map(str, known))) or "none"
+        super().__init__(f"unknown {kind} {str(name)!r}; there are: {listed}")
+
+
+class WorkcellError(HybridJaxError):
+    """A work cell that cannot be planned in: the message names the geom, joint or body."""
+
+
+class RunFolderError(HybridJaxError):
+    """A run folder that is incomplete, damaged or belongs to another cell."""
+
+
+class TaskError(HybridJaxError):
+    """A task file or task that the cell cannot understand."""
+
+
+class TrainingError(HybridJaxError):
+    """A training that diverged: the message names the step and the quantity that broke."""

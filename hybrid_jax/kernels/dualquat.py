@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: MIT
+"""Unit dual quaternions: the one representation of rigid poses between stages.
+
+A pose is `[..., 8]`: real part `(w, x, y, z)` (rotation), then dual part `t r / 2` (metres), as in
+the paper's section "Dual Quaternion". `q` and `-q` are the same pose: compare poses, not
+components. All functions take equal leading axes.
+"""
+
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Float
+
+IDENTITY = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def quat_mul(a: Float[Array, "*b 4"], b: Float[Array, "*b 4"]) -> Float[Array, "*b 4"]:
+    """Hamilton product."""
+    aw, ax, ay, az = (a[..., i] for i in range(4))
+    bw, bx, by, bz = (b[..., i] for i in range(4))
+    return jnp.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ],
+        axis=-1,
+    )
+
+
+def quat_conj(q: Float[Array, "*b 4"]) -> Float[Array, "*b 4"]:
+    """Conjugate: the inverse of a unit quaternion."""
+    return q * jnp.array([1.0, -1.0, -1.0, -1.0], q.dtype)
+
+
+def quat_rotate(q: Float[Array, "*b 4"], v: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
+    """Rotate a vector by a unit quaternion."""
+    w, u = q[..., :1], q[..., 1:]
+    t = 2 * jnp.cross(u, v)
+    return v + w * t + jnp.cross(u, t)
+
+
+def quat_matrix(q: Float[Array, "*b 4"]) -> Float[Array, "*b 3 3"]:
+    """Rotation matrix of a unit quaternion."""
+    w, x, y, z = (q[..., i] for i in range(4))
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def quat_exp(rotation: Float[Array, "*b 3"]) -> Float[Array, "*b 4"]:
+    """Unit quaternion of a rotation vector [rad]."""
+    sq = jnp.sum(rotation * rotation, axis=-1, keepdims=True)
+    small = sq < jnp.finfo(rotation.dtype).eps ** 0.5
+    angle = jnp.sqrt(jnp.where(small, 1.0, sq))
+    scale = jnp.where(small, 0.5 - sq / 48, jnp.sin(angle / 2) / angle)
+    return jnp.concatenate([jnp.where(small, 1 - sq / 8, jnp.cos(angle / 2)), scale * rotation], -1)
+
+
+def quat_log(q: Float[Array, "*b 4"]) -> Float[Array, "*b 3"]:
+    """Rotation vector [rad] of a unit quaternion along the shorter arc; inverse of `quat_exp`."""
+    q = jnp.where(q[..., :1] < 0, -q, q)
+    w, u = q[..., :1], q[..., 1:]
+    sq = jnp.sum(u * u, axis=-1, keepdims=True)
+    small = sq < jnp.finfo(q.dtype).eps ** 0.5
+    norm = jnp.sqrt(jnp.where(small, 1.0, sq))
+    scale = jnp.where(small, (2 - 2 * sq / (3 * w * w)) / w, 2 * jnp.arctan2(norm, w) / norm)
+    return scale * u
+
+
+def from_parts(position: Float[Array, "*b 3"], quat: Float[Array, "*b 4"]) -> Float[Array, "*b 8"]:
+    """Pose from a position [m] and a unit quaternion (paper, eq. `r + eps t r / 2`)."""
+    pure = jnp.concatenate([jnp.zeros_like(position[..., :1]), position], axis=-1)
+    return jnp.concatenate([quat, 0.5 * quat_mul(pure, quat)], axis=-1)
+
+
+def position(q: Float[Array, "*b 8"]) -> Float[Array, "*b 3"]:
+    """Translation [m] of a pose: `2 d r*`."""
+    return 2 * quat_mul(q[..., 4:], quat_conj(q[..., :4]))[..., 1:]
+
+
+def to_matrix(q: Float[Array, "*b 8"]) -> Float[Array, "*b 4 4"]:
+    """Homogeneous matrix of a pose."""
+    top = jnp.concatenate([quat_matrix(q[..., :4]), position(q)[..., None]], axis=-1)
+    last = jnp.broadcast_to(jnp.array([0.0, 0.0, 0.0, 1.0], q.dtype), (*q.shape[:-1], 1, 4))
+    return jnp.concatenate([top, last], axis=-2)
+
+
+def mul(a: Float[Array, "*b 8"], b: Float[Array, "*b 8"]) -> Float[Array, "*b 8"]:
+    """Composition: the matrix of the product is the product of the matrices."""
+    real = quat_mul(a[..., :4], b[..., :4])
+    dual = quat_mul(a[..., :4], b[..., 4:]) + quat_mul(a[..., 4:], b[..., :4])
+    return jnp.concatenate([real, dual], axis=-1)
+
+
+def conj(q: Float[Array, "*b 8"]) -> Float[Array, "*b 8"]:
+    """Quaternion conjugate of both parts: the inverse of a unit dual quaternion."""
+    return q * jnp.array([1.0, -1.0, -1.0, -1.0, 1.0, -1.0, -1.0, -1.0], q.dtype)
+
+
+def normalize(q: Float[Array, "*b 8"]) -> Float[Array, "*b 8"]:
+    """Nearest unit dual quaternion: `|r| = 1` and `r . d = 0`."""
+    norm = jnp.linalg.norm(q[..., :4], axis=-1, keepdims=True)
+    real, dual = q[..., :4] / norm, q[..., 4:] / norm
+    return jnp.concatenate([real, dual - jnp.sum(real * dual, -1, keepdims=True) * real], -1)
+
+
+def act(q: Float[Array, "*b 8"], point: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
+    """Move a point [m] by a pose."""
+    return quat_rotate(q[..., :4], point) + position(q)
+
+
+def exp(twist: Float[Array, "*b 6"]) -> Float[Array, "*b 8"]:
+    """Pose reached by following a constant twist for unit time.
+
+    Args:
+        twist: `(v, w)`, linear part [m], then rotation vector [rad], in the base frame.
+
+    Reference: Solà, Deray, Atchuthan, "A micro Lie theory", arXiv:1812.01537, Appendix D.
+    """
+    v, w = twist[..., :3], twist[..., 3:]
+    sq = jnp.sum(w * w, axis=-1, keepdims=True)
+    small = sq < jnp.finfo(twist.dtype).eps ** 0.5
+    sq_safe = jnp.where(small, 1.0, sq)
+    angle = jnp.sqrt(sq_safe)
+    half_sinc = jnp.where(small, 0.5 - sq / 48, jnp.sin(angle / 2) / angle)
+    cos_half = jnp.where(small, 1 - sq / 8, jnp.cos(angle / 2))
+    b = 2 * half_sinc * half_sinc
+    # (angle - sin angle) / angle^3, its series where it cancels
+    c = jnp.where(sq < 0.01, 1 / 6 - sq / 120, (1 - 2 * half_sinc * cos_half) / sq_safe)
+    wv = jnp.cross(w, v)
+    t = v + b * wv + c * jnp.cross(w, wv)
+    return from_parts(t, jnp.concatenate([cos_half, half_sinc * w], axis=-1))
+
+
+def log(q: Float[Array, "*b 8"]) -> Float[Array, "*b 6"]:
+    """Twist `(v [m], w [rad])` whose `exp` is the pose, along the shorter rotation.
+
+    Reference: the inverse of `exp`; `V^-1` as in arXiv:1812.01537, Appendix D.
+    """
+    w = quat_log(q[..., :4])
+    t = position(q)
+    sq = jnp.sum(w * w, axis=-1, keepdims=True)
+    small = sq < 0.01
+    sq_safe = jnp.where(small, 1.0, sq)
+    half = jnp.sqrt(sq_safe) / 2
+    d = jnp.where(small, 1 / 12 + sq / 720, (1 - half / jnp.tan(half)) / sq_safe)
+    wt = jnp.cross(w, t)
+    return jnp.concatenate([t - 0.5 * wt + d * jnp.cross(w, wt), w], axis=-1)
+
+
+def sclerp(a: Float[Array, "*b 8"], b: Float[Array, "*b 8"], s: Float[Array, "*b"]):
+    """Screw linear interpolation `a (a* b)^s`, along the shorter arc; `[*b, 8]`."""
+    return mul(a, exp(s[..., None] * log(mul(conj(a), b))))

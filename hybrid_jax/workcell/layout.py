@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: MIT
+"""Where arm, gripper, objects and geoms stand in an `MjModel`."""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from hybrid_jax.errors import UnknownNameError, WorkcellError
+from hybrid_jax.workcell.description import Handling
+
+_MOTION = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+_FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+_ON_JOINT = int(mujoco.mjtTrn.mjTRN_JOINT)
+_TOOL_NAMES = ("tool", "tcp", "tool0", "grasp_site", "pinch", "attachment_site")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Indices into an `MjModel`; all tuples."""
+
+    joint_names: tuple[str, ...]
+    joints: tuple[int, ...]
+    """Joints of the arm, from the base to the tool."""
+    qpos: tuple[int, ...]
+    """Their addresses in `qpos`."""
+    dofs: tuple[int, ...]
+    """Their addresses in `qvel`."""
+    actuators: tuple[int, ...]
+    """Actuator of each arm joint; -1 where there is none."""
+    tool_site: int
+    fingers: tuple[int, ...]
+    """Slide joints of the gripper."""
+    gripper_actuator: int
+    """-1 where there is none."""
+    object_names: tuple[str, ...]
+    object_bodies: tuple[int, ...]
+    object_qpos: tuple[int, ...]
+    """First of the seven addresses of each object in `qpos`."""
+
+
+def _name(model, kind, index) -> str:
+    return mujoco.mj_id2name(model, kind, index) or f"#{index}"
+
+
+def body_path(model: mujoco.MjModel, body: int) -> list[int]:
+    """Bodies from the world's child down to `body`."""
+    path = []
+    while body:
+        path.append(body)
+        body = int(model.body_parentid[body])
+    return path[::-1]
+
+
+def body_joints(model: mujoco.MjModel, body: int) -> range:
+    """Joints of one body."""
+    first = int(model.body_jntadr[body])
+    return range(first, first + int(model.body_jntnum[body])) if first >= 0 else range(0)
+
+
+def _find_tool(model: mujoco.MjModel, task: Handling | None) -> int:
+    names = [model.site(i).name for i in range(model.nsite)]
+    wanted = (task.tool_site,) if task else _TOOL_NAMES
+    for name in wanted:
+        if name in names:
+            return names.index(name)
+    if task:
+        raise UnknownNameError("tool site", task.tool_site, names)
+    raise WorkcellError(
+        f"the model has no tool frame: add a site named 'tool' to the last link (sites: {names})"
+    )
+
+
+def _arm_joints(model: mujoco.MjModel, tool: int) -> tuple[int, ...]:
+    path = body_path(model, int(model.site_bodyid[tool]))
+    joints = tuple(j for body in path for j in body_joints(model, body))
+    for j in joints:
+        if model.jnt_type[j] not in _MOTION:
+            raise WorkcellError(
+                f"joint {_name(model, mujoco.mjtObj.mjOBJ_JOINT, j)!r} on the way to the tool is "
+                "neither a hinge nor a slide: only serial arms are supported"
+            )
+    if not joints:
+        raise WorkcellError(f"no joint moves the tool site {model.site(tool).name!r}")
+    return joints
+
+
+def _joint_actuator(model: mujoco.MjModel, joint: int) -> int:
+    for a in range(model.nu):
+        on_joint = model.actuator_trntype[a] == _ON_JOINT
+        if on_joint and model.actuator_trnid[a, 0] == joint:
+            return a
+    return -1
+
+
+def _named(model, kind, what: str, name: str) -> int:
+    index = mujoco.mj_name2id(model, kind, name)
+    if index < 0:
+        known = [_name(model, kind, i) for i in range(_count(model, kind))]
+        raise UnknownNameError(what, name, known)
+    return index
+
+
+def _count(model, kind) -> int:
+    counts = {mujoco.mjtObj.mjOBJ_JOINT: model.njnt, mujoco.mjtObj.mjOBJ_ACTUATOR: model.nu,
+              mujoco.mjtObj.mjOBJ_BODY: model.nbody}
+    return counts[kind]
+
+
+def find_layout(model: mujoco.MjModel, task: Handling | None) -> Layout:
+    """Tell arm, gripper and movable objects apart.
+
+    Raises:
+        WorkcellError, UnknownNameError: no tool frame, no serial arm, or a name in the task data
+            that the model does not have.
+    """
+    tool = _find_tool(model, task)
+    joints = _arm_joints(model, tool)
+    free = [b for b in range(1, model.nbody)
+            if any(model.jnt_type[j] == _FREE for j in body_joints(model, b))]
+    if task:
+        names = [spec.name for spec in task.objects]
+        free = [_named(model, mujoco.mjtObj.mjOBJ_BODY, "object", n) for n in names] + [
+            b for b in free if model.body(b).name not in names]
+        for tray in task.trays:
+            _named(model, mujoco.mjtObj.mjOBJ_BODY, "tray", tray.name)
+    gripper = task.gripper if task else None
+    return Layout(
+        joint_names=tuple(_name(model, mujoco.mjtObj.mjOBJ_JOINT, j) for j in joints),
+        joints=joints,
+        qpos=tuple(int(model.jnt_qposadr[j]) for j in joints),
+        dofs=tuple(int(model.jnt_dofadr[j]) for j in joints),
+        actuators=tuple(_joint_actuator(model, j) for j in joints),
+        tool_site=tool,
+        fingers=tuple(_named(model, mujoco.mjtObj.mjOBJ_JOINT, "gripper joint", n)
+                      for n in (gripper.joints if gripper else ())),
+        gripper_actuator=_named(model, mujoco.mjtObj.mjOBJ_ACTUATOR, "gripper actuator",
+                                gripper.actuator) if gripper else -1,
+        object_names=tuple(_name(model, mujoco.mjtObj.mjOBJ_BODY, b) for b in free),
+        object_bodies=tuple(free),
+        object_qpos=tuple(int(model.jnt_qposadr[body_joints(model, b)[0]]) for b in free),
+    )
+
+
+def home_qpos(model: mujoco.MjModel) -> np.ndarray:
+    """Keyframe `home`, else the first keyframe, else the reference configuration; `[nq]`."""
+    names = [model.key(i).name for i in range(model.nkey)]
+    if names:
+        return model.key_qpos[names.index("home") if "home" in names else 0].copy()
+    return model.qpos0.copy()

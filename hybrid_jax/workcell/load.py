@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: MIT
+"""From a name or a file to a work cell that is fit to plan in."""
+
+import re
+from pathlib import Path
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from hybrid_jax.errors import WorkcellError
+from hybrid_jax.types import Workcell
+from hybrid_jax.workcell import geometry
+from hybrid_jax.workcell.assets import find_workcell
+from hybrid_jax.workcell.compile import compile_workcell, may_collide
+from hybrid_jax.workcell.description import read_handling
+from hybrid_jax.workcell.layout import home_qpos
+from hybrid_jax.workcell.scene import place_objects
+
+_HARMLESS = re.compile("Attaching a spec with an empty prefix")
+
+
+def read_model(path: Path) -> mujoco.MjModel:
+    """Compile an MJCF, URDF or MJB file.
+
+    Raises:
+        WorkcellError: MuJoCo cannot read it; its own message is passed on.
+    """
+    heard = []
+    mujoco.set_mju_user_warning(heard.append)
+    try:
+        if path.suffix == ".mjb":
+            return mujoco.MjModel.from_binary_path(str(path))
+        return mujoco.MjModel.from_xml_path(str(path))
+    except ValueError as error:
+        raise WorkcellError(f"{path.name}: MuJoCo cannot read it: {error}") from None
+    finally:
+        mujoco.set_mju_user_warning(None)
+        for text in heard:
+            if not _HARMLESS.match(text):
+                print(f"MuJoCo on {path.name}: {text}")
+
+
+def check_home(model: mujoco.MjModel, robot_geoms: set[int]) -> None:
+    """Refuse a cell whose robot touches something at home.
+
+    Raises:
+        WorkcellError: naming the two geoms and the depth.
+    """
+    data = mujoco.MjData(model)
+    data.qpos[:] = home_qpos(model)
+    mujoco.mj_forward(model, data)
+    for contact in data.contact[: data.ncon]:
+        a, b = contact.geom
+        if contact.dist < 0 and (a in robot_geoms or b in robot_geoms) and may_collide(model, a, b):
+            names = [geometry.geom_label(model, g) for g in (a, b)]
+            raise WorkcellError(
+                f"the home configuration collides: {names[0]} and {names[1]} overlap by "
+                f"{-1e3 * contact.dist:.1f} mm; change the keyframe 'home'"
+            )
+
+
+def load_workcell(name_or_path: str | Path) -> Workcell:
+    """Load a work cell by the name of a shipped one or from an MJCF file.
+
+    A file `CELL.toml` beside `CELL.xml` holds the task data (objects, grasps, trays). Joint
+    velocity and acceleration limits stand in the joints' `user` data.
+
+    Raises:
+        UnknownNameError: no such cell; the message lists the shipped ones.
+        WorkcellError: the cell cannot be planned in; the message names the geom or joint.
+    """
+    path = find_workcell(name_or_path)
+    model = read_model(path)
+    task = read_handling(path.with_suffix(".toml"))
+    cell = compile_workcell(model, path.stem, task)
+    fixed_or_object = {g for g in range(model.ngeom)
+                       if model.body_weldid[model.geom_bodyid[g]] == 0
+                       or model.body_rootid[model.geom_bodyid[g]] in cell.source.layout.object_bodies}
+    check_home(model, set(range(model.ngeom)) - fixed_or_object)
+    home = home_qpos(model)
+    poses = [home[a : a + 7] for a in cell.source.layout.object_qpos]
+    return place_objects(cell, jnp.asarray(np.array(poses, np.float32).reshape(-1, 7)))
