@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: MIT
+"""One file format for maps, skills, policies and checkpoints: `.npz` arrays and a JSON header.
+
+Nothing in a file is executed when it is read. The header says what it holds and of which cell.
+"""
+
+import json
+import os
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from flax import serialization, traverse_util
+
+from hybrid_jax.errors import RunFolderError
+
+FORMAT = 1
+_HEADER = "__header__"
+
+
+def save(path: Path, kind: str, digest: str, tree: Any, **header) -> None:
+    """Write a pytree of arrays; an existing file is replaced only once the new one is complete.
+
+    Args:
+        path: file to write, ending in `.npz`.
+        kind: what it is, checked on loading.
+        digest: hash of the work cell that it belongs to.
+        tree: any pytree that flax can serialise.
+        header: further JSON values.
+    """
+    state = serialization.to_state_dict(jax.device_get(tree))
+    flat = traverse_util.flatten_dict(state, sep="/") if isinstance(state, dict) else {"": state}
+    flat = {k: np.asarray(v) for k, v in flat.items() if v is not None}
+    head = {"format": FORMAT, "kind": kind, "workcell": digest, **header}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_suffix(".partial.npz")
+    np.savez_compressed(partial, **{_HEADER: np.array(json.dumps(head))}, **flat)
+    os.replace(partial, path)
+
+
+def load(path: Path, kind: str, digest: str | None) -> tuple[dict, dict]:
+    """Read a file written by `save`: its header and its nested dictionary of arrays.
+
+    Raises:
+        RunFolderError: missing, damaged, of another kind, or of another work cell.
+    """
+    if not path.is_file():
+        raise RunFolderError(f"{path} is missing")
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            flat = {name: file[name] for name in file.files}
+        header = json.loads(str(flat.pop(_HEADER)))
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        raise RunFolderError(f"{path} is damaged or not one of our files: {error}") from None
+    if header.get("format") != FORMAT or header.get("kind") != kind:
+        raise RunFolderError(
+            f"{path} holds {header.get('kind')!r} of format {header.get('format')}, "
+            f"not {kind!r} of format {FORMAT}")
+    if digest is not None and header["workcell"] != digest:
+        raise RunFolderError(
+            f"{path} belongs to another work cell ({header['workcell'][:12]}, not {digest[:12]})")
+    return header, traverse_util.unflatten_dict(flat, sep="/")
+
+
+def restore(template: Any, state: dict) -> Any:
+    """Put loaded arrays into the structure of `template`."""
+    return serialization.from_state_dict(template, state)

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: MIT
+"""Demonstrations: what was recorded, cleaned and stored."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from hybrid_jax import artifacts
+from hybrid_jax.errors import RunFolderError
+from hybrid_jax.skills.mapping import align_signs, resample
+
+POINTS = 51
+"""Poses that a skill keeps of a demonstration."""
+
+
+@dataclass(frozen=True)
+class Demonstration:
+    """One recorded motion of the tool in the robot's base frame."""
+
+    name: str
+    """Unique, e.g. `lift_bolt`."""
+    robot: str
+    """Robot that it was recorded on; it serves any other."""
+    closed: bool
+    """True where the gripper holds an object throughout."""
+    times: np.ndarray
+    """`[sample]` [s]."""
+    poses: np.ndarray
+    """`[sample, 8]` unit dual quaternions."""
+
+
+def clean(demo: Demonstration, points: int = POINTS) -> np.ndarray:
+    """Continuous signs, no repeated poses, a short moving average, even spacing; `[points, 8]`."""
+    poses = np.asarray(align_signs(jnp.asarray(demo.poses, jnp.float32)))
+    moved = np.linalg.norm(np.diff(poses, axis=0), axis=1) > 1e-5
+    poses = poses[np.concatenate([[True], moved])]
+    width = min(7, len(poses) // 4 * 2 + 1)
+    padded = np.concatenate([poses[:1].repeat(width // 2, 0), poses,
+                             poses[-1:].repeat(width // 2, 0)])
+    smooth = np.stack([padded[i : i + len(poses)] for i in range(width)]).mean(0)
+    smooth[0], smooth[-1] = poses[0], poses[-1]
+    norm = np.linalg.norm(smooth[:, :4], axis=1, keepdims=True)
+    smooth /= norm
+    smooth[:, 4:] -= np.sum(smooth[:, :4] * smooth[:, 4:], 1, keepdims=True) * smooth[:, :4]
+    return np.asarray(resample(jnp.asarray(smooth, jnp.float32), points))
+
+
+def save_demonstrations(path: Path, demos: list[Demonstration]) -> None:
+    """Write demonstrations to one file."""
+    tree = {d.name: {"times": d.times.astype(np.float32), "poses": d.poses.astype(np.float32)}
+            for d in demos}
+    about = {d.name: {"robot": d.robot, "closed": d.closed} for d in demos}
+    artifacts.save(path, "demonstrations", "", tree, demonstrations=about)
+
+
+def load_demonstrations(path: Path) -> list[Demonstration]:
+    """Read demonstrations.
+
+    Raises:
+        RunFolderError: missing or damaged, or a recording that holds no motion.
+    """
+    header, tree = artifacts.load(path, "demonstrations", None)
+    demos = [Demonstration(name, times=tree[name]["times"], poses=tree[name]["poses"], **about)
+             for name, about in header["demonstrations"].items()]
+    for demo in demos:
+        if len(demo.poses) < 8 or not np.isfinite(demo.poses).all():
+            raise RunFolderError(f"{path}: demonstration {demo.name!r} has fewer than 8 samples "
+                                 "or values that are not finite")
+    return demos
