@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """The skill library: how well each demonstrated skill covers each segment of a task."""
 
+import functools
 from dataclasses import dataclass
 
 import jax
@@ -178,10 +179,17 @@ def map_segment(library: SkillLibrary, key_poses: np.ndarray, a: int, b: int, sk
     A skill that covers several unit segments is cut where it passes the key poses, so that each
     of them is met exactly.
     """
-    cuts = match_indices(library, key_poses, a, b, skill, config)
-    pieces = []
-    for k, (low, high) in enumerate(zip(cuts[:-1], cuts[1:], strict=True)):
-        piece = resample(library.poses[skill, low : high + 1], points)
-        ends = (jnp.asarray(key_poses[a + k]), jnp.asarray(key_poses[a + k + 1]))
-        pieces.append(np.asarray(MAPS[config.map](piece, *ends)))
-    return np.concatenate(pieces)
+    whole = [0, library.poses.shape[1] - 1]
+    cuts = whole if b == a + 1 else match_indices(library, key_poses, a, b, skill, config)
+    return np.concatenate([
+        np.asarray(_map_piece(library.poses[skill], low, high, key_poses[a + k],
+                              key_poses[a + k + 1], config.map, points))
+        for k, (low, high) in enumerate(zip(cuts[:-1], cuts[1:], strict=True))])
+
+
+@functools.partial(jax.jit, static_argnames=("mapping", "points"))
+def _map_piece(demo: Array, low: Array, high: Array, start: Array, goal: Array, mapping: str,
+               points: int) -> Float[Array, "points 8"]:
+    """Map the part of a demonstration between two of its points; the rest collapses onto them."""
+    inside = jnp.clip(jnp.arange(demo.shape[0]), low, high)
+    return MAPS[mapping](resample(demo[inside], points), start, goal)
