@@ -87,7 +87,12 @@ class ReachEnv(Env):
 
     @property
     def observation_size(self) -> int:
-        return 3 * self.cell.home.size + 18 + RAY_COUNT + 3
+        return self.observation_length(self.cell.home.size)
+
+    @staticmethod
+    def observation_length(joints: int) -> int:
+        """Length of an observation of an arm with `joints` joints."""
+        return 3 * joints + 18 + RAY_COUNT + 3
 
     @property
     def backend(self) -> str:

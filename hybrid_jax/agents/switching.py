@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: MIT
+"""The switching agent: when to follow the skill and when the joint agent (discrete PPO).
+
+Both joint motions of a phase run on one grid of `STEPS` points; at every point the agent chooses
+one. The paper's reward, manipulability minus collision, has no term that joins neighbouring
+points; ours adds the jump and the switch. With two choices a step the optimum is a Viterbi path:
+`optimal_switching` is the oracle.
+"""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from brax.envs.base import Env, State
+from jax import Array
+from jaxtyping import Float, PRNGKeyArray
+
+from hybrid_jax.agents import ppo
+from hybrid_jax.types import pytree
+
+STEPS = 200
+"""Points of the grid (paper, table of the switching agent: steps)."""
+AHEAD = 5
+"""Next points of both motions that the agent sees."""
+
+
+@dataclass(frozen=True)
+class SwitchConfig:
+    """Reward and training."""
+
+    collision: float = 5.0
+    """Cost of an infeasible point."""
+    jump: float = 5.0
+    """Cost of a joint step, in units of `allowed`, beyond the first."""
+    switch: float = 0.5
+    """Cost of changing the source."""
+    allowed: float = 0.15
+    """Joint step between grid points that costs nothing [rad]."""
+    scale: float = 0.1
+    """Factor on the reward, to bring it to order one."""
+    ppo: ppo.PpoConfig = ppo.PpoConfig(
+        steps=400_000, envs=64, unroll=50, minibatch=800, learning_rate=1e-3, discount=0.96,
+        hidden=(64, 64))
+
+
+@pytree
+class Combined:
+    """Both motions of one phase on the grid."""
+
+    q: Array
+    """`[2, STEPS, joint]`: skill, joint agent (repeated where it has no motion)."""
+    manipulability: Array
+    """`[2, STEPS]` man'."""
+    collision: Array
+    """`[2, STEPS]` 1 where infeasible."""
+    available: Array
+    """`[STEPS]` 1 where the joint agent has a motion."""
+
+
+@pytree
+class SwitchState:
+    """Where one episode stands."""
+
+    problem: Array
+    step: Array
+    q: Array
+    """`[joint]` last chosen configuration."""
+    choice: Array
+    """Last choice: 0 skill, 1 joint agent."""
+
+
+def point_reward(data: Combined, config: SwitchConfig) -> Float[Array, "2 STEPS"]:
+    """Part of the reward that depends on one point only."""
+    reward = data.manipulability - config.collision * data.collision
+    return reward.at[1].add(-2 * config.collision * (1 - data.available))
+
+
+def step_reward(before: Array, after: Array, config: SwitchConfig) -> Array:
+    """Cost of the joint step between two configurations, as a negative reward."""
+    size = jnp.max(jnp.abs(after - before), axis=-1)
+    return -config.jump * jnp.maximum(0.0, size - config.allowed) / config.allowed
+
+
+class SwitchEnv(Env):
+    """Brax's environment protocol; one copy, the trainer vmaps."""
+
+    def __init__(self, problems: Combined, config: SwitchConfig = SwitchConfig()):
+        """Args:
+        problems: stacked along a leading axis.
+        config: reward.
+        """
+        self.problems, self.config = problems, config
+
+    @property
+    def action_size(self) -> int:
+        return 2
+
+    @property
+    def observation_size(self) -> int:
+        return self.observation_length(self.problems.q.shape[-1])
+
+    @staticmethod
+    def observation_length(joints: int) -> int:
+        """Length of an observation of an arm with `joints` joints."""
+        return joints * (1 + 2 * (1 + AHEAD)) + 4 + 1 + 2
+
+    @property
+    def backend(self) -> str:
+        return "arrays"
+
+    def _problem(self, index: Array) -> Combined:
+        return jax.tree.map(lambda a: a[index], self.problems)
+
+    def observe(self, data: Combined, state: SwitchState) -> Float[Array, "obs"]:
+        """Both motions from here on relative to the robot, their worth, and the last choice."""
+        t = jnp.minimum(state.step, STEPS - 1)
+        seen = jnp.minimum(t + jnp.arange(AHEAD + 1), STEPS - 1)
+        return jnp.concatenate([
+            state.q, (data.q[:, seen] - state.q).reshape(-1), data.manipulability[:, t],
+            data.collision[:, t], data.available[t][None],
+            jnp.stack([state.choice.astype(jnp.float32), state.step / STEPS])])
+
+    def begin(self, index: Array) -> State:
+        """Start a given problem; the robot stands at the beginning of the skill's motion."""
+        data = self._problem(index)
+        state = SwitchState(index, jnp.zeros((), int), data.q[0, 0], jnp.zeros((), int))
+        zero = jnp.float32(0.0)
+        return State(state, self.observe(data, state), zero, zero, {"success": zero},
+                     {"truncation": zero})
+
+    def reset(self, rng: PRNGKeyArray) -> State:
+        return self.begin(jax.random.randint(rng, (), 0, self.problems.available.shape[0]))
+
+    def step(self, state: State, action: Array) -> State:
+        world = state.pipeline_state
+        data = self._problem(world.problem)
+        # the joint agent can only be chosen where it has a motion
+        choice = jnp.where(data.available[world.step] > 0, action, 0)
+        q = data.q[choice, world.step]
+        reward = (point_reward(data, self.config)[choice, world.step]
+                  + step_reward(world.q, q, self.config)
+                  - self.config.switch * (choice != world.choice))
+        clean = data.collision[choice, world.step] == 0
+        world = SwitchState(world.problem, world.step + 1, q, choice)
+        done = world.step >= STEPS
+        return State(world, self.observe(data, world), self.config.scale * reward,
+                     done.astype(jnp.float32), {"success": (done & clean).astype(jnp.float32)},
+                     {"truncation": jnp.float32(0.0)})
+
+
+def optimal_switching(data: Combined, config: SwitchConfig) -> tuple[np.ndarray, float]:
+    """Best choices `[STEPS]` and their total reward, by dynamic programming."""
+    points = np.asarray(point_reward(data, config))
+    q = np.asarray(data.q)
+    moves = np.asarray(step_reward(q[:, None, :-1], q[None, :, 1:], config))  # [from, to, step]
+    moves = moves - config.switch * (1 - np.eye(2))[:, :, None]
+    blocked = np.where(np.asarray(data.available) > 0, 0.0, -np.inf)
+    value = np.array([points[0, 0], -config.switch + points[1, 0] + blocked[0]
+                      + float(step_reward(q[0, 0], q[1, 0], config))])
+    back = np.zeros((STEPS, 2), int)
+    for t in range(1, STEPS):
+        total = value[:, None] + moves[:, :, t - 1]
+        back[t] = np.argmax(total, axis=0)
+        value = total.max(axis=0) + points[:, t] + np.array([0.0, blocked[t]])
+    choice = np.zeros(STEPS, int)
+    choice[-1] = int(np.argmax(value))
+    for t in range(STEPS - 1, 0, -1):
+        choice[t - 1] = back[t, choice[t]]
+    return choice, float(value.max())
+
+
+def make_net(joints: int, config: SwitchConfig) -> ppo.ActorCritic:
+    """Networks of the agent for an arm."""
+    return ppo.make_networks(SwitchEnv.observation_length(joints), 2, config.ppo.hidden,
+                             discrete=True)
+
+
+def choose(net: ppo.ActorCritic, policy: ppo.Policy, problems: Combined,
+           config: SwitchConfig) -> tuple[Array, Array]:
+    """Choices `[problem, STEPS]` of the trained agent and their total rewards `[problem]`."""
+    env = SwitchEnv(problems, config)
+
+    def run(index):
+        def step(state, _):
+            state = env.step(state, ppo.act(net, policy, state.obs, None))
+            return state, (state.pipeline_state.choice, state.reward)
+
+        _, (choice, reward) = jax.lax.scan(step, env.begin(index), length=STEPS)
+        return choice, jnp.sum(reward) / config.scale
+
+    return jax.vmap(run)(jnp.arange(problems.available.shape[0]))
