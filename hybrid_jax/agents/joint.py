@@ -26,7 +26,7 @@ PATH_POINTS = 32
 class JointAgentConfig:
     """Training and use of the joint-space agent."""
 
-    ppo: ppo.PpoConfig = ppo.PpoConfig()
+    training: ppo.PpoConfig = ppo.PpoConfig()
     reach: ReachConfig = ReachConfig()
     expert: rrt.RrtConfig = rrt.RrtConfig()
     rollouts: int = 48
@@ -59,7 +59,7 @@ def make_env(cell: Workcell, segments: Segments, paths: np.ndarray,
 def make_net(cell: Workcell, config: JointAgentConfig) -> ppo.ActorCritic:
     """Networks of the agent for a robot."""
     joints = cell.home.size
-    return ppo.make_networks(ReachEnv.observation_length(joints), joints, config.ppo.hidden,
+    return ppo.make_networks(ReachEnv.observation_length(joints), joints, config.training.hidden,
                              discrete=False)
 
 

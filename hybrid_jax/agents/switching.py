@@ -39,7 +39,7 @@ class SwitchConfig:
     """Joint step between grid points that costs nothing [rad]."""
     scale: float = 0.1
     """Factor on the reward, to bring it to order one."""
-    ppo: ppo.PpoConfig = ppo.PpoConfig(
+    training: ppo.PpoConfig = ppo.PpoConfig(
         steps=400_000, envs=64, unroll=50, minibatch=800, learning_rate=1e-3, discount=0.96,
         hidden=(64, 64))
 
@@ -172,7 +172,7 @@ def optimal_switching(data: Combined, config: SwitchConfig) -> tuple[np.ndarray,
 
 def make_net(joints: int, config: SwitchConfig) -> ppo.ActorCritic:
     """Networks of the agent for an arm."""
-    return ppo.make_networks(SwitchEnv.observation_length(joints), 2, config.ppo.hidden,
+    return ppo.make_networks(SwitchEnv.observation_length(joints), 2, config.training.hidden,
                              discrete=True)
 
 
