@@ -137,6 +137,12 @@ def make_networks(observations: int, actions: int, hidden: tuple[int, ...],
                        networks.make_value_network(observations, **shared), kind)
 
 
+def blank_policy(net: ActorCritic, observations: int) -> Policy:
+    """A policy of the right shape, to load a trained one into."""
+    normalizer = running_statistics.init_state(specs.Array((observations,), jnp.float32))
+    return Policy(net.policy.init(jax.random.PRNGKey(0)), normalizer)
+
+
 def act(net: ActorCritic, policy: Policy, obs: Array, key: Array | None) -> Array:
     """Action for one observation or a batch; the most likely one if there is no key."""
     logits = net.policy.apply(policy.normalizer, policy.params, obs)
@@ -261,6 +267,8 @@ def train(env: Env, net: ActorCritic, config: PpoConfig, *, state: PpoState | No
         state, metrics = update(state, env_state, data, key_update)
         state = state.replace(key=key, iteration=jnp.int32(iteration + 1))
         values = {k: float(v) for k, v in jax.device_get(metrics).items()}
+        if not values["episodes"]:  # nothing ended: there is no success rate to speak of
+            del values["success"], values["return"]
         steps = (iteration + 1) * per_iteration
         broken = [k for k, v in values.items() if not v == v or abs(v) == float("inf")]
         if broken:

@@ -7,9 +7,11 @@ import numpy as np
 
 from hybrid_jax.agents.switching import STEPS, Combined
 from hybrid_jax.kernels.kinematics import manipulability
-from hybrid_jax.planner.harvest import bridge_ends
+from hybrid_jax.planner.harvest import bridge_ends, phase_options
 from hybrid_jax.planner.labelling import Bridge
+from hybrid_jax.planner.lfd import skill_path
 from hybrid_jax.simulation.reach import resample_path
+from hybrid_jax.skills.task import Task
 from hybrid_jax.types import Workcell
 
 _manipulability = jax.jit(jax.vmap(manipulability, (None, 0)))
@@ -82,3 +84,34 @@ def assemble(combined: Combined, choice: np.ndarray, bridge: Bridge,
     before, after = q[0, : window[0]], q[0, window[-1] + 1 :]
     sources = np.concatenate([np.zeros(len(before)), np.ones(len(drl)), np.zeros(len(after))])
     return np.concatenate([before, drl, after]), sources.astype(np.uint8)
+
+
+def task_problems(planner, task: Task, key) -> list[Combined]:
+    """traj_comb of every phase of a task whose infeasible part the joint agent bridges."""
+    return [combine(options.cell, bridge, drl, planner.scale)
+            for options, bridge, drl in _bridged(planner, task, key) if drl is not None]
+
+
+def skill_problems(planner, task: Task) -> list[Combined]:
+    """The skill's own motion of every phase of a task, infeasible parts and all."""
+    return [combine(options.cell, bridge, None, planner.scale)
+            for options, bridge, _ in _bridged(planner, task, jax.random.key(0))]
+
+
+def _bridged(planner, task: Task, key):
+    """Options, best bridge and the joint agent's motion of each phase, until one has no option."""
+    path = skill_path(planner.library, task, planner.choose, planner.config.skills)
+    start = np.asarray(planner.cell.home)
+    for phase, poses in enumerate(path.phases):
+        key_ik, key_drl = jax.random.split(jax.random.fold_in(key, phase))
+        options = phase_options(planner.cell, task, phase, poses, start, planner.scale,
+                                planner.config.labels, key_ik)
+        if not options.bridges:
+            return
+        bridge = options.bridges[0]
+        drl = None
+        if bridge.first != bridge.last and planner.bridge is not None:
+            first, last = bridge_ends(bridge)
+            drl = planner.bridge(options.cell.scene, bridge.q[first], bridge.q[last], key_drl)
+        yield options, bridge, drl
+        start = bridge.q[-1]

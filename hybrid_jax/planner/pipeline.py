@@ -5,7 +5,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
@@ -113,11 +112,11 @@ def _plan_phase(planner: Planner, task: Task, path: SkillPath, phase: int, start
         # Alg. 1, l. 34-36: concatenate, and let the switching policy choose
         combined = combining.combine(options.cell, bridge, drl, planner.scale)
         q, sources = combining.assemble(combined, planner.switch(combined), bridge, drl)
-        trajectory = _finish(planner, options, q, sources)
+        trajectory = finish(planner, options, q, sources)
         if trajectory is None:
             status, detail = Status.SEAM_FAILED, Status.SEAM_FAILED.sentence
             continue
-        faults = _faults(planner, task, phase, options, trajectory)
+        faults = find_faults(planner, task, phase, options, trajectory)
         if not faults:
             return Status.OK, "", trajectory
         status, detail = Status.COLLISION, "; ".join(faults)
@@ -138,7 +137,7 @@ def _joint_motion(planner: Planner, options: PhaseOptions, bridge: Bridge,
                            config.labels.margin, config.finishing)
 
 
-def _finish(planner: Planner, options: PhaseOptions, q: np.ndarray,
+def finish(planner: Planner, options: PhaseOptions, q: np.ndarray,
             sources: np.ndarray) -> Trajectory | None:
     """Smooth and time a path."""
     config = planner.config.finishing
@@ -149,7 +148,7 @@ def _finish(planner: Planner, options: PhaseOptions, q: np.ndarray,
     return timing.time_parameterize(options.cell, even, sources[nearest], config)
 
 
-def _faults(planner: Planner, task: Task, phase: int, options: PhaseOptions,
+def find_faults(planner: Planner, task: Task, phase: int, options: PhaseOptions,
             trajectory: Trajectory) -> list[str]:
     """What the final check finds wrong."""
     data = require_handling(planner.cell)
@@ -170,7 +169,3 @@ def lfd_only(planner: Planner) -> Planner:
     return Planner(planner.cell, planner.library, planner.choose, None, planner.switch,
                    planner.scale, planner.config)
 
-
-def as_float32(values) -> Array:
-    """Device array of the kernels' type."""
-    return jnp.asarray(values, jnp.float32)

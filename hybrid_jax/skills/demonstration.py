@@ -4,12 +4,14 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from hybrid_jax import artifacts
 from hybrid_jax.errors import RunFolderError
-from hybrid_jax.skills.mapping import align_signs, resample
+from hybrid_jax.skills.mapping import resample
 
 POINTS = 51
 """Poses that a skill keeps of a demonstration."""
@@ -31,20 +33,27 @@ class Demonstration:
     """`[sample, 8]` unit dual quaternions."""
 
 
+_SAMPLES = 256
+"""Samples that a recording is brought to before it is spaced by arc length: one trace for all."""
+
+_resample = jax.jit(resample, static_argnames="count")
+
+
 def clean(demo: Demonstration, points: int = POINTS) -> np.ndarray:
     """Continuous signs, no repeated poses, a short moving average, even spacing; `[points, 8]`."""
-    poses = np.asarray(align_signs(jnp.asarray(demo.poses, jnp.float32)))
+    poses = np.asarray(demo.poses, np.float64)
+    flips = np.sum(poses[1:, :4] * poses[:-1, :4], axis=1) < 0
+    poses = poses * np.concatenate([[1.0], np.cumprod(np.where(flips, -1.0, 1.0))])[:, None]
     moved = np.linalg.norm(np.diff(poses, axis=0), axis=1) > 1e-5
     poses = poses[np.concatenate([[True], moved])]
     width = min(7, len(poses) // 4 * 2 + 1)
-    padded = np.concatenate([poses[:1].repeat(width // 2, 0), poses,
-                             poses[-1:].repeat(width // 2, 0)])
-    smooth = np.stack([padded[i : i + len(poses)] for i in range(width)]).mean(0)
+    smooth = uniform_filter1d(poses, width, axis=0, mode="nearest")
     smooth[0], smooth[-1] = poses[0], poses[-1]
-    norm = np.linalg.norm(smooth[:, :4], axis=1, keepdims=True)
-    smooth /= norm
-    smooth[:, 4:] -= np.sum(smooth[:, :4] * smooth[:, 4:], 1, keepdims=True) * smooth[:, :4]
-    return np.asarray(resample(jnp.asarray(smooth, jnp.float32), points))
+    at, wanted = np.arange(len(smooth)), np.linspace(0, len(smooth) - 1, _SAMPLES)
+    even = np.stack([np.interp(wanted, at, column) for column in smooth.T], axis=1)
+    even /= np.linalg.norm(even[:, :4], axis=1, keepdims=True)
+    even[:, 4:] -= np.sum(even[:, :4] * even[:, 4:], 1, keepdims=True) * even[:, :4]
+    return np.asarray(_resample(jnp.asarray(even, jnp.float32), points))
 
 
 def save_demonstrations(path: Path, demos: list[Demonstration]) -> None:

@@ -1,0 +1,30 @@
+# Two commands matter: `make train` and `make test`. Both create .venv from plain python3.
+PYTHON ?= python3
+BIN := .venv/bin
+TRAIN_ARGS ?=
+
+.PHONY: train test check format wheel bench clean
+
+.venv/.installed: pyproject.toml constraints.txt
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	touch $@
+
+train: .venv/.installed
+	$(BIN)/python -m hybrid_jax.train $(TRAIN_ARGS)
+
+test: .venv/.installed
+	$(BIN)/python -m pytest
+
+check: .venv/.installed
+	$(BIN)/ruff check .
+	$(BIN)/pyright
+
+format: .venv/.installed
+	$(BIN)/ruff check --fix .
+
+wheel: .venv/.installed
+	$(BIN)/python -m build --wheel
+
+clean:
+	rm -rf .venv dist build .pytest_cache .ruff_cache

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: MIT
+"""Put a planner together from the files of a run."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hybrid_jax import artifacts
+from hybrid_jax.agents import dqn, joint, ppo, switching
+from hybrid_jax.errors import RunFolderError
+from hybrid_jax.feasibility import load_map
+from hybrid_jax.planner.pipeline import Planner, Switcher
+from hybrid_jax.runfolder import Run
+from hybrid_jax.simulation.reach import ReachEnv
+from hybrid_jax.skills.demonstration import load_demonstrations
+from hybrid_jax.skills.library import SkillLibrary, build_library
+from hybrid_jax.types import Workcell
+from hybrid_jax.workcell.assets import demonstrations_file
+
+
+@functools.lru_cache(maxsize=4)
+def _library(name: str) -> SkillLibrary:
+    return build_library(load_demonstrations(demonstrations_file(name)))
+
+
+def read_library(cell: Workcell) -> SkillLibrary:
+    """Skills demonstrated for a cell."""
+    return _library(cell.source.name)
+
+
+def read_scale(run: Run) -> float:
+    """Manipulability that counts as 1, from the run's map."""
+    return float(load_map(run.path("map.npz"), run.cell).manipulability_scale)
+
+
+def load_policy(run: Run, name: str, kind: str, net: ppo.ActorCritic,
+                observations: int) -> ppo.Policy:
+    """A trained policy of the run."""
+    _, state = run.load(name, kind)
+    template = ppo.blank_policy(net, observations)
+    return jax.tree.map(jnp.asarray, artifacts.restore(template, state))
+
+
+def optimal_switcher(config: switching.SwitchConfig) -> Switcher:
+    """Exact switching (a `Switcher`)."""
+    return lambda combined: switching.optimal_switching(combined, config)[0]
+
+
+def learned_switcher(run: Run) -> Switcher:
+    """The trained switching agent (a `Switcher`)."""
+    config, joints = run.preset.switch, run.cell.home.size
+    net = switching.make_net(joints, config)
+    policy = load_policy(run, "switch.npz", "switching agent", net,
+                         switching.SwitchEnv.observation_length(joints))
+    choose = jax.jit(functools.partial(switching.choose, net, config=config))
+
+    def switch(combined):
+        one = jax.tree.map(lambda a: a[None], combined)
+        return np.asarray(choose(policy, one)[0][0])
+
+    return switch
+
+
+def load_planner(run: Run, *, switch: str = "learned") -> Planner:
+    """The planner of a run; needs its map, lfd and drl stages, and switch unless `optimal`.
+
+    Raises:
+        RunFolderError: a stage is missing: the message says which.
+    """
+    for stage in ("map", "lfd", "drl") + (("switch",) if switch == "learned" else ()):
+        if not run.finished(stage):
+            raise RunFolderError(f"{run.folder} lacks the stage {stage!r} ({stage}.npz is missing); "
+                                 f"finish it with: python -m hybrid_jax.train --resume --out "
+                                 f"{run.folder}")
+    preset, cell = run.preset, run.cell
+    _, state = run.load("lfd.npz", "hierarchical DQN")
+    params = jax.tree.map(jnp.asarray, state)
+    net = joint.make_net(cell, preset.joint)
+    policy = load_policy(run, "drl.npz", "joint agent", net,
+                         ReachEnv.observation_length(cell.home.size))
+    return Planner(
+        cell=cell, library=read_library(cell), choose=dqn.make_chooser(preset.dqn, params),
+        bridge=joint.make_bridger(cell, net, policy, preset.joint),
+        switch=learned_switcher(run) if switch == "learned" else optimal_switcher(preset.switch),
+        scale=read_scale(run), config=preset.planner)

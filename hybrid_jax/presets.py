@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: MIT
+"""Named configurations, as values."""
+
+from dataclasses import dataclass, replace
+
+from hybrid_jax.agents.dqn import DqnConfig
+from hybrid_jax.agents.joint import JointAgentConfig
+from hybrid_jax.agents.ppo import PpoConfig
+from hybrid_jax.agents.switching import SwitchConfig
+from hybrid_jax.feasibility import MapConfig
+from hybrid_jax.ik import IkConfig
+from hybrid_jax.planner.pipeline import PlannerConfig
+from hybrid_jax.skills.library import SkillConfig
+
+
+@dataclass(frozen=True)
+class Preset:
+    """Everything that decides a training run."""
+
+    map: MapConfig = MapConfig()
+    dqn: DqnConfig = DqnConfig()
+    joint: JointAgentConfig = JointAgentConfig()
+    switch: SwitchConfig = SwitchConfig()
+    planner: PlannerConfig = PlannerConfig()
+    tasks: int = 60
+    """Random tasks from which the agents' training data come."""
+    held_out: int = 20
+    """Further tasks, on which nothing is trained."""
+    switch_tasks: int = 24
+    """Training tasks whose combined trajectories the switching agent sees."""
+    demo_objects: int = 5
+    """Objects of the demonstration that are planned and executed."""
+
+
+DEFAULT = Preset(
+    joint=JointAgentConfig(training=PpoConfig(steps=1_300_000)),
+)
+"""Ends in a few minutes on two cores."""
+
+PAPER = Preset(
+    map=MapConfig(spacing=0.1, tilts=(-0.6, -0.3, 0.0, 0.3, 0.6)),
+    joint=JointAgentConfig(training=PpoConfig(
+        steps=1_000_000, envs=32, unroll=64, epochs=10, minibatch=64, learning_rate=3e-4,
+        discount=0.99, entropy=0.0, hidden=(64, 64))),
+    switch=SwitchConfig(jump=0.0, switch=0.0, collision=1.0, training=PpoConfig(
+        steps=2_000_000, envs=16, unroll=200, epochs=10, minibatch=32, learning_rate=1e-3,
+        discount=0.96, entropy=0.0, hidden=(64, 64))),
+    planner=PlannerConfig(skills=SkillConfig(map="ugp_blend", distance="euclidean")),
+    tasks=100,
+)
+"""The paper's tables, maps and distances; see docs/differences.md for what still differs."""
+
+SMOKE = Preset(
+    map=MapConfig(spacing=0.3, tilts=(0.0,), yaws=(0.0,), ik=IkConfig(seeds=2, iterations=20),
+                  chunk=128),
+    dqn=DqnConfig(iterations=500),
+    joint=replace(JointAgentConfig(), training=PpoConfig(
+        steps=8_192, envs=64, unroll=32, minibatch=512, hidden=(32, 32)), rollouts=8, retries=1),
+    switch=replace(SwitchConfig(), training=PpoConfig(
+        steps=6_400, envs=16, unroll=50, minibatch=200, hidden=(32, 32))),
+    tasks=4, held_out=2, switch_tasks=4, demo_objects=1,
+)
+"""Runs every stage once, learns next to nothing."""
+
+PRESETS = {"default": DEFAULT, "paper": PAPER, "smoke": SMOKE}
+"""Presets by name."""

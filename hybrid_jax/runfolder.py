@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: MIT
+"""A run's folder: configuration, finished stages, checkpoints, metrics and pictures."""
+
+import dataclasses
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from hybrid_jax import artifacts
+from hybrid_jax.errors import RunFolderError, UnknownNameError
+from hybrid_jax.presets import PRESETS, Preset
+from hybrid_jax.types import Workcell
+from hybrid_jax.workcell.load import load_workcell
+
+STAGES = ("map", "lfd", "drl", "switch", "demo")
+"""Stages of a run, in order."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """A run on one cell with one preset."""
+
+    folder: Path
+    cell: Workcell
+    preset_name: str
+    seed: int
+
+    @property
+    def preset(self) -> Preset:
+        """The configuration."""
+        return PRESETS[self.preset_name]
+
+    def path(self, name: str) -> Path:
+        """A file of the run."""
+        return self.folder / name
+
+    def finished(self, stage: str) -> bool:
+        """Has this stage left its result?"""
+        return self.path("demo.json" if stage == "demo" else f"{stage}.npz").is_file()
+
+    def save(self, name: str, kind: str, tree: Any, **header) -> None:
+        """Write a pytree that belongs to this run's cell."""
+        artifacts.save(self.path(name), kind, self.cell.source.digest, tree, **header)
+
+    def load(self, name: str, kind: str) -> tuple[dict, dict]:
+        """Read one back; RunFolderError if it is missing, damaged or of another cell."""
+        return artifacts.load(self.path(name), kind, self.cell.source.digest)
+
+    def log(self, stage: str, values: dict) -> None:
+        """Append one line to the stage's metrics."""
+        with self.path(f"{stage}.jsonl").open("a") as file:
+            file.write(json.dumps(values) + "\n")
+
+    def metrics(self, stage: str) -> list[dict]:
+        """Metrics logged so far; the later of two lines for the same step counts."""
+        path = self.path(f"{stage}.jsonl")
+        if not path.is_file():
+            return []
+        rows = [json.loads(line) for line in path.read_text().splitlines()]
+        return list({row["step"]: row for row in rows}.values())
+
+
+def _free_folder(parent: Path, name: str) -> Path:
+    taken = [int(p.name.rpartition("-")[2]) for p in parent.glob(f"{name}-*")
+             if p.name.rpartition("-")[2].isdigit()]
+    return parent / f"{name}-{max(taken, default=0) + 1:03d}"
+
+
+def _latest_folder(parent: Path, name: str) -> Path:
+    found = sorted(parent.glob(f"{name}-[0-9]*/config.json"))
+    if not found:
+        raise RunFolderError(f"nothing to resume: no run of {name!r} in {parent.resolve()}")
+    return found[-1].parent
+
+
+def create_run(workcell: str, preset: str, seed: int, out: Path | None) -> Run:
+    """Start a new run.
+
+    Raises:
+        UnknownNameError: no such preset or cell.
+        RunFolderError: the folder already holds a run.
+    """
+    if preset not in PRESETS:
+        raise UnknownNameError("preset", preset, PRESETS)
+    cell = load_workcell(workcell)
+    folder = out or _free_folder(Path("runs"), cell.source.name)
+    if (folder / "config.json").exists():
+        raise RunFolderError(f"{folder} already holds a run; add --resume to go on with it, or "
+                             "choose another --out")
+    folder.mkdir(parents=True, exist_ok=True)
+    source = str(Path(workcell).resolve()) if Path(workcell).is_file() else workcell
+    values = {"workcell": source, "digest": cell.source.digest, "preset": preset, "seed": seed,
+              "configuration": dataclasses.asdict(PRESETS[preset])}
+    partial = folder / "config.json.partial"
+    partial.write_text(json.dumps(values, indent=1))
+    os.replace(partial, folder / "config.json")
+    return Run(folder, cell, preset, seed)
+
+
+def open_run(folder: Path | None, workcell: str = "") -> Run:
+    """Open an existing run; the newest of `workcell` if no folder is given.
+
+    Raises:
+        RunFolderError: no run there, or its cell has changed since.
+    """
+    folder = folder or _latest_folder(Path("runs"), Path(workcell).stem)
+    path = folder / "config.json"
+    if not path.is_file():
+        raise RunFolderError(f"{folder} is no run folder: {path.name} is missing")
+    try:
+        values = json.loads(path.read_text())
+        cell = load_workcell(values["workcell"])
+        if cell.source.digest != values["digest"]:
+            raise RunFolderError(
+                f"{path}: the run was made for another version of cell {values['workcell']!r} "
+                f"({values['digest'][:12]}, now {cell.source.digest[:12]}); start a new run")
+        return Run(folder, cell, values["preset"], values["seed"])
+    except (ValueError, KeyError) as error:
+        raise RunFolderError(f"{path} is damaged: {error!r}") from None

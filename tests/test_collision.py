@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: MIT
+"""Clearance of the whole cell against C MuJoCo, pair by pair; payload and support."""
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import oracles
+import pytest
+
+from hybrid_jax.kernels.collision import clearance, clearances, edge_clearance
+from hybrid_jax.workcell.compile import may_collide
+from hybrid_jax.workcell.scene import attach, with_opening, with_support
+
+
+def robot_bodies(cell):
+    model = cell.model
+    roots = {int(model.jnt_bodyid[j]) for j in cell.source.layout.joints}
+    moved = np.zeros(model.nbody, bool)
+    for body in range(1, model.nbody):
+        moved[body] = moved[model.body_parentid[body]] or body in roots
+    return moved
+
+
+def pairs_of(cell):
+    """(geom, geom, both on the robot) of every pair that MuJoCo would check."""
+    model, moved = cell.model, robot_bodies(cell)
+    on = moved[model.geom_bodyid]
+    return [(a, b, bool(on[a] and on[b])) for a in range(model.ngeom) for b in range(a + 1, model.ngeom)
+            if (on[a] or on[b]) and may_collide(model, a, b)]
+
+
+def engine_clearances(cell, data, pairs):
+    """Smallest `mj_geomDistance` robot-world and robot-robot, and whether it can be trusted.
+
+    Where the axis of a capsule runs through a box, MuJoCo reports the depth of an end of the
+    capsule, or even a gap: such a configuration is only good for its sign.
+    """
+    best, trusted = [9.0, 9.0], [True, True]
+    for a, b, own in pairs:
+        gap = mujoco.mj_geomDistance(cell.model, data, a, b, 9.0, None)
+        best[own] = min(best[own], gap)
+        if crosses(cell.model, data, a, b):
+            best[own], trusted[own] = min(best[own], -1e-3), False
+    return best, trusted
+
+
+def crosses(model, data, a, b):
+    """Does the axis of a capsule run through a box?"""
+    kinds = {int(model.geom_type[g]): g for g in (a, b)}
+    box, capsule = (int(g) for g in (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CAPSULE))
+    if box not in kinds or capsule not in kinds:
+        return False
+    c, x = kinds[capsule], kinds[box]
+    axis = data.geom_xmat[c].reshape(3, 3)[:, 2] * model.geom_size[c, 1]
+    ends = np.stack([data.geom_xpos[c] - axis, data.geom_xpos[c] + axis])
+    local = (ends - data.geom_xpos[x]) @ data.geom_xmat[x].reshape(3, 3)
+    return oracles.sampled_segment_box(local, model.geom_size[x], 401) == 0.0
+
+
+def test_clearance_agrees_with_mujoco(cell, configurations):
+    pairs = pairs_of(cell)
+    got = np.asarray(jax.vmap(lambda q: clearances(cell, q))(jnp.asarray(configurations)))
+    exact = 0
+    for q, found in zip(configurations, got, strict=True):
+        data = oracles.cell_data(cell, q)
+        wanted, trusted = engine_clearances(cell, data, pairs)
+        for kind in (0, 1):
+            if abs(wanted[kind]) > 1e-4:
+                assert np.sign(found[kind]) == np.sign(wanted[kind])
+            if trusted[kind]:
+                assert found[kind] == pytest.approx(wanted[kind], abs=1e-4)
+                exact += 1
+    assert exact > 200
+
+
+def test_a_held_object_counts_and_its_support_does_not(cell):
+    held = with_opening(attach(cell, "block_1", jnp.array([0, 0, 0.006, 0, 1, 0, 0.0])), 0.025)
+    down = low_configuration(held)
+    free = float(clearance(with_opening(cell, 0.025), down))
+    loaded = float(clearance(held, down))
+    assert loaded < free - 0.003, "the block hangs below the fingers"
+    relieved = float(clearance(with_support(held, ("table",)), down))
+    assert relieved > loaded
+
+
+def low_configuration(cell):
+    """A configuration with the tool just above the table, between enclosure and base."""
+    from hybrid_jax.ik import solve_ik
+    from hybrid_jax.kernels import dualquat as dq
+
+    pose = dq.from_parts(jnp.array([0.30, 0.30, 0.035]), jnp.array([0.0, 1.0, 0.0, 0.0]))
+    result = solve_ik(cell, pose, key=jax.random.key(0))
+    assert result.found
+    return result.q
+
+
+def test_open_fingers_are_wider(cell):
+    q = cell.home
+    wide, narrow = (with_opening(cell, o) for o in (0.0425, 0.0))
+    from hybrid_jax.kernels.collision import robot_shapes
+    from hybrid_jax.kernels.kinematics import joint_frames
+
+    frames = joint_frames(cell.chain, q)
+    spans = [np.ptp(np.asarray(robot_shapes(c, frames).capsule_ends)[:, 0, 0]) for c in (wide, narrow)]
+    assert spans[0] > spans[1]
+
+
+def test_an_edge_is_as_close_as_its_closest_sample(cell, configurations):
+    a, b = (jnp.asarray(q) for q in configurations[:2])
+    samples = [float(clearance(cell, a + s * (b - a))) for s in (0.25, 0.5, 0.75, 1.0)]
+    assert float(edge_clearance(cell, a, b, 4)) == pytest.approx(min(samples), abs=1e-6)
+
+
+def test_vmap_equals_the_loop_and_gradients_are_finite(cell, configurations):
+    q = jnp.asarray(configurations[:5])
+    batch = jax.vmap(lambda one: clearance(cell, one))(q)
+    np.testing.assert_allclose(batch, [clearance(cell, one) for one in q], atol=1e-6)
+    assert np.isfinite(jax.grad(lambda one: clearance(cell, one))(cell.home)).all()
