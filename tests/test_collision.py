@@ -85,11 +85,11 @@ def test_a_held_object_counts_and_its_support_does_not(cell):
 
 
 def low_configuration(cell):
-    """A configuration with the tool just above the table, between enclosure and base."""
+    """A configuration with the tool just above the table, in front of a tray."""
     from hybrid_jax.ik import solve_ik
     from hybrid_jax.kernels import dualquat as dq
 
-    pose = dq.from_parts(jnp.array([0.30, 0.30, 0.035]), jnp.array([0.0, 1.0, 0.0, 0.0]))
+    pose = dq.from_parts(jnp.array([0.20, 0.25, 0.035]), jnp.array([0.0, 1.0, 0.0, 0.0]))
     result = solve_ik(cell, pose, key=jax.random.key(0))
     assert result.found
     return result.q
@@ -112,8 +112,26 @@ def test_an_edge_is_as_close_as_its_closest_sample(cell, configurations):
     assert float(edge_clearance(cell, a, b, 4)) == pytest.approx(min(samples), abs=1e-6)
 
 
-def test_vmap_equals_the_loop_and_gradients_are_finite(cell, configurations):
+def test_vmap_equals_the_loop(cell, configurations):
     q = jnp.asarray(configurations[:5])
     batch = jax.vmap(lambda one: clearance(cell, one))(q)
     np.testing.assert_allclose(batch, [clearance(cell, one) for one in q], atol=1e-6)
-    assert np.isfinite(jax.grad(lambda one: clearance(cell, one))(cell.home)).all()
+
+
+def test_gradient_agrees_with_finite_differences(tmp_path):
+    from hybrid_jax.workcell.load import load_workcell
+
+    (tmp_path / "small.xml").write_text("""<mujoco><worldbody>
+      <geom type="box" size=".1 .1 .1" pos=".6 0 0"/><geom type="sphere" size=".1" pos="0 0 .9"/>
+      <body><joint name="a" axis="0 1 0" range="-3 3"/><geom type="capsule" size=".03" fromto="0 0 0 .3 0 0"/>
+      <body pos=".3 0 0"><joint name="b" axis="0 1 0" range="-3 3"/>
+      <geom type="capsule" size=".03" fromto="0 0 0 .1 0 0"/><site name="tool" pos=".1 0 0"/>
+      </body></body></worldbody></mujoco>""")
+    small = load_workcell(tmp_path / "small.xml")
+    grad = jax.jit(jax.grad(lambda q: clearance(small, q)))
+    for q in ([0.1, 0.2], [-1.2, 0.4], [2.0, -0.5]):
+        q = jnp.array(q)
+        step = 1e-2
+        wanted = [(clearance(small, q + step * e) - clearance(small, q - step * e)) / (2 * step)
+                  for e in jnp.eye(2)]
+        np.testing.assert_allclose(grad(q), wanted, atol=5e-3)

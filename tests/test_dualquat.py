@@ -42,7 +42,7 @@ def test_exp_is_the_matrix_exponential_and_log_its_inverse(angle):
     axis = rng.normal(size=3)
     twist = np.concatenate([rng.normal(size=3), angle * axis / np.linalg.norm(axis)])
     hat = np.zeros((4, 4))
-    hat[:3, :3] = np.cross(np.eye(3), -twist[3:])
+    hat[:3, :3] = np.cross(np.eye(3), twist[3:])
     hat[:3, 3] = twist[:3]
     pose = dq.exp(jnp.asarray(twist))
     np.testing.assert_allclose(dq.to_matrix(pose), expm(hat), atol=1e-11)

@@ -22,10 +22,10 @@ def test_single_rays(kind, size):
     half = size[1] if kind == "capsule" else 0.0
     ball = jax.jit(ray_capsule)
     block = jax.jit(ray_box)
-    for _ in range(300):
+    for _ in range(500):
         data.qpos[:3], data.qpos[3:] = rng.uniform(-0.3, 0.3, 3), oracles.random_quat(rng)
         mujoco.mj_kinematics(model, data)
-        origin, direction = rng.uniform(-0.6, 0.6, 3), rng.normal(size=3)
+        origin, direction = rng.uniform(-0.4, 0.4, 3), rng.normal(size=3)
         direction /= np.linalg.norm(direction)
         wanted = mujoco.mj_ray(model, data, origin, direction, None, 1, -1, np.zeros(1, np.int32), None)
         o, d = jnp.asarray(origin, jnp.float32), jnp.asarray(direction, jnp.float32)
@@ -41,7 +41,7 @@ def test_single_rays(kind, size):
         else:
             assert got == pytest.approx(wanted, abs=2e-4)
             hits += 1
-    assert hits > 50
+    assert hits > 30
 
 
 def test_sensor_of_the_cell(cell, configurations):

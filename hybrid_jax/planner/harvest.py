@@ -59,7 +59,8 @@ def phase_options(cell: Workcell, task: Task, phase: int, poses: np.ndarray, sta
     carrying = task.carrying[low]
     placed = not carrying and any(task.carrying[:low])
     inside = phase_cell(cell, task, carrying, placed)
-    if high == len(task.carrying):
+    last = high == len(task.carrying)
+    if last:
         ends = np.asarray(cell.home)[None]
     else:
         found, free = end_branches(inside, jnp.asarray(poses[-1]), jnp.asarray(start), key=key,
@@ -69,7 +70,8 @@ def phase_options(cell: Workcell, task: Task, phase: int, poses: np.ndarray, sta
         return PhaseOptions(inside, poses, [])
     ends = ends[np.argsort(np.abs(ends - start).max(axis=1))][:BRANCHES]
     ends = np.concatenate([ends, ends[-1:].repeat(BRANCHES - len(ends), 0)])
-    return PhaseOptions(inside, poses, bridges(inside, poses, start, ends, scale, config))
+    return PhaseOptions(inside, poses, bridges(inside, poses, start, ends, scale, config,
+                                               exact_end=last))
 
 
 def task_segments(cell: Workcell, library: SkillLibrary, task: Task, choose: SkillChooser,

@@ -108,8 +108,30 @@ def _beginning(feasible: np.ndarray) -> int:
     return int(np.argmin(np.append(feasible, False)))
 
 
+def _join(ahead: np.ndarray, back: np.ndarray, prefix: int, last: int, good: np.ndarray,
+          max_jump: float) -> Bridge:
+    """Beginning of one joint path and end of another as one, with the part between them marked.
+
+    Args:
+        ahead: `[n, joint]` feasible up to point `prefix - 1`.
+        back: `[n, joint]` feasible from point `last` on.
+        good: `[n]` feasibility of `back`.
+    """
+    n = len(ahead)
+    first = prefix - 1
+    if last <= first:  # both are feasible in between: change over where they are nearest
+        jumps = np.abs(ahead[last - 1 : first + 1][: n - last] - back[last : first + 2]).max(axis=1)
+        change = last - 1 + int(np.argmin(jumps)) if last else 0
+        first, last = change, change + 1
+        if jumps.min() <= max_jump:
+            return Bridge(np.concatenate([ahead[:last], back[last:]]), np.ones(n, bool), first, first)
+    q = np.concatenate([ahead[:last], back[last:]])
+    feasible = np.arange(n) <= first
+    return Bridge(q, np.where(np.arange(n) >= last, good, feasible), first, last)
+
+
 def bridges(cell: Workcell, poses: np.ndarray, start: np.ndarray, ends: np.ndarray, scale: float,
-            config: LabelConfig) -> list[Bridge]:
+            config: LabelConfig, *, exact_end: bool = False) -> list[Bridge]:
     """Ways to run through a phase, the least infeasible first; empty where none has both ends.
 
     Args:
@@ -119,6 +141,7 @@ def bridges(cell: Workcell, poses: np.ndarray, start: np.ndarray, ends: np.ndarr
         ends: `[branch, joint]` configurations at the last pose.
         scale: manipulability that counts as 1.
         config: thresholds.
+        exact_end: the phase must end in one of `ends`; else any branch of the last pose will do.
     """
     n = len(poses)
     padded = jnp.asarray(pad_poses(poses))
@@ -126,7 +149,8 @@ def bridges(cell: Workcell, poses: np.ndarray, start: np.ndarray, ends: np.ndarr
     prefix = _beginning(ahead.feasible[:n])
     if prefix == 0:
         return []
-    if prefix == n:
+    arrived = np.abs(ahead.q[n - 1] - ends).max(axis=1).min() < 0.5 * config.max_jump
+    if prefix == n and (arrived or not exact_end):
         return [Bridge(ahead.q[:n], ahead.feasible[:n], n - 1, n - 1)]
     back = jax.device_get(_follow_backwards(cell, padded, jnp.asarray(ends), scale, config))
     found = []
@@ -134,14 +158,8 @@ def bridges(cell: Workcell, poses: np.ndarray, start: np.ndarray, ends: np.ndarr
         last = n - _beginning(feasible[::-1])
         if last == n:
             continue
-        first = min(prefix - 1, last)
-        joined = np.concatenate([ahead.q[: first + 1], ahead.q[first + 1 : last], q[last:]])
-        good = np.concatenate([ahead.feasible[: first + 1], np.zeros(max(last - first - 1, 0), bool),
-                               feasible[last:]])
-        if last <= first:
-            joined, good = np.concatenate([ahead.q[:last], q[last:]]), np.ones(n, bool)
-            first = max(last - 1, 0)
-        away = float(np.max(np.abs(joined[last] - joined[first])))
-        found.append((last - first, away, Bridge(joined, good, first, last)))
-    found.sort(key=lambda item: (item[0] // 8, item[1]))
+        bridge = _join(ahead.q[:n], q, prefix, max(last, 1), feasible, config.max_jump)
+        away = float(np.max(np.abs(bridge.q[bridge.last] - bridge.q[bridge.first])))
+        found.append(((bridge.last - bridge.first) // 8, away, bridge))
+    found.sort(key=lambda item: item[:2])
     return [bridge for _, _, bridge in found]

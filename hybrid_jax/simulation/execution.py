@@ -174,11 +174,14 @@ def execute(cell: Workcell, task: Task, plan: PlanResult, config: ExecutionConfi
         data: simulation to go on with; a fresh one in the task's scene if None.
 
     Raises:
-        ValueError: the plan holds no trajectory.
+        ValueError: the plan holds no trajectory, or starts elsewhere than the arm stands.
     """
     if not plan.phases:
         raise ValueError(f"nothing to execute: the plan ended with {plan.status.name}")
     run = _Run(cell, task, config, watch, data)
+    away = np.abs(run.data.qpos[list(run.layout.qpos)] - plan.phases[0].positions[0]).max()
+    if away > 0.1:
+        raise ValueError(f"the arm is {away:.2f} rad away from where the plan starts")
     gripper = run.spec.gripper
     before = run.poses()
     gripped_at = np.zeros(3)

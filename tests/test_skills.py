@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: MIT
+"""Maps, feature distances, segmentation and demonstrations."""
+
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from hybrid_jax.kernels import dualquat as dq
+from hybrid_jax.planner.loading import read_library
+from hybrid_jax.skills import mapping
+from hybrid_jax.skills.library import (
+    MAX_KEY_POSES, SkillConfig, map_segment, pad_task, segment_costs, without,
+)
+from hybrid_jax.skills.segmentation import missing_skills, optimal_plan
+from hybrid_jax.skills.task import random_task
+
+
+@pytest.fixture(scope="module")
+def library(cell):
+    return read_library(cell)
+
+
+@pytest.fixture(scope="module")
+def costs(library):
+    config = SkillConfig()
+    return jax.jit(lambda lib, p, c, n: segment_costs(lib, p, c, n, config))
+
+
+def random_pose(rng, spread=0.5, turn=1.0):
+    return dq.exp(jnp.asarray(np.concatenate([rng.normal(scale=spread, size=3),
+                                              rng.normal(scale=turn, size=3)]), jnp.float32))
+
+
+def same(a, b, atol=2e-5):
+    np.testing.assert_allclose(dq.to_matrix(a), dq.to_matrix(b), atol=atol)
+
+
+def test_aligned_meets_new_ends_and_keeps_its_own(library):
+    rng, apply = np.random.default_rng(0), jax.jit(mapping.aligned)
+    for demo in library.poses[:6]:
+        start, goal = random_pose(rng), random_pose(rng)
+        mapped = apply(demo, start, goal)
+        same(mapped[0], start)
+        same(mapped[-1], goal)
+        same(apply(demo, demo[0], demo[-1]), demo)
+
+
+def test_aligned_moves_with_a_rigid_motion_of_both_ends(library):
+    rng, apply = np.random.default_rng(1), jax.jit(mapping.aligned)
+    demo = library.poses[0]
+    start, goal, move = (random_pose(rng) for _ in range(3))
+    moved = apply(demo, dq.mul(move, start), dq.mul(move, goal))
+    same(moved, dq.mul(jnp.broadcast_to(move, demo.shape), apply(demo, start, goal)), atol=1e-4)
+
+
+def test_literal_map_enforces_the_feature(library):
+    rng = np.random.default_rng(2)
+    demo, goal = library.poses[3], random_pose(rng)
+    mapped = mapping.ugp_goal(demo, random_pose(rng), goal)
+    same(mapping.features(mapped), mapping.features(demo), atol=1e-4)
+    blended = mapping.ugp_blend(demo, start := random_pose(rng), goal)
+    same(blended[0], start)
+    same(blended[-1], goal)
+
+
+def test_beta_is_symmetric_invariant_and_in_metres():
+    rng = np.random.default_rng(3)
+    a, b, g = (random_pose(rng, 0.1, 0.3) for _ in range(3))
+    assert mapping.beta(dq.mul(g, a), dq.mul(g, b)) == pytest.approx(float(mapping.beta(a, b)), abs=1e-5)
+    assert mapping.beta(a, b) == pytest.approx(float(mapping.beta(b, -a)), abs=1e-5)
+    shifted = dq.mul(a, dq.from_parts(jnp.array([0.2, 0, 0]), jnp.array([1.0, 0, 0, 0])))
+    assert mapping.beta(a, shifted) == pytest.approx(0.2, abs=1e-5)
+
+
+def brute_force(cost, count):
+    """Cheapest plan over all segmentations and skills."""
+    best = np.inf
+    for cuts in itertools.product([False, True], repeat=count - 2):
+        at = [0] + [i + 1 for i, cut in enumerate(cuts) if cut] + [count - 1]
+        best = min(best, sum(cost[a, b].min() for a, b in itertools.pairwise(at)))
+    return best
+
+
+def test_shortest_path_equals_brute_force():
+    rng = np.random.default_rng(4)
+    for _ in range(100):
+        cost = rng.uniform(0, 1, (6, 6, 3))
+        cost[rng.uniform(size=cost.shape) < 0.7] = np.inf
+        plan, total = optimal_plan(cost, 6)
+        assert total == pytest.approx(brute_force(cost, 6))
+        if plan:
+            assert sum(cost[a, b, k] for a, b, k in plan) == pytest.approx(total)
+            assert [p[0] for p in plan][1:] == [p[1] for p in plan][:-1]
+
+
+def test_unit_segment_cost_is_the_distance_of_start_to_goal_features(cell, library, costs):
+    poses, carrying, count = pad_task(random_task(cell, 1))
+    found = costs(library, poses, carrying, count)
+    skill = library.names.index("lift_bolt")
+    demo, task = library.poses[skill], jnp.asarray(poses)
+    wanted = mapping.beta(dq.mul(dq.conj(demo[0]), demo[-1]), dq.mul(dq.conj(task[1]), task[2]))
+    assert found.nearest[1, 2, skill] == pytest.approx(float(wanted), abs=1e-5)
+    assert np.isinf(np.asarray(found.cost)[0, 1, skill]), "the gripper is open on the way to the grasp"
+    assert np.isinf(np.asarray(found.cost)[count:]).all()
+
+
+def test_random_tasks_are_covered_and_missing_demonstrations_are_named(cell, library, costs):
+    tolerance = SkillConfig().tolerance
+    transfers = {n for n in library.names if n.startswith(("transfer", "carry"))}
+    for seed in range(5):
+        poses, carrying, count = pad_task(random_task(cell, seed))
+        found = jax.device_get(costs(library, poses, carrying, count))
+        assert optimal_plan(found.cost, count)[0]
+        less = jax.device_get(costs(without(library, transfers), poses, carrying, count))
+        assert optimal_plan(less.cost, count)[0] == []
+        missing = missing_skills(less.cost, less.nearest, count, library.names, tolerance)
+        assert [(m.start, m.end) for m in missing] == [(2, 3)]
+        assert missing[0].distance > tolerance
+
+
+def test_a_skill_over_several_segments_meets_each_key_pose(cell, library):
+    task = random_task(cell, 3)
+    poses, _, _ = pad_task(task)
+    skill = library.names.index("carry_block")
+    mapped = map_segment(library, poses, 1, 4, skill, SkillConfig(), 50)
+    assert mapped.shape == (150, 8)
+    for point, pose in ((0, 1), (49, 2), (99, 3), (149, 4)):
+        same(jnp.asarray(mapped[point]), jnp.asarray(poses[pose]), atol=1e-4)
+
+
+def test_paper_map_on_real_demonstrations(shared):
+    """Held-out error of the maps on real kinesthetic demonstrations, as measured before."""
+    apply = {name: jax.jit(jax.vmap(mapping.MAPS[name])) for name in ("aligned", "ugp_blend")}
+    errors = {name: [] for name in apply}
+    folder = shared / "data" / "robotasks"
+    if not folder.is_dir():
+        pytest.skip("real demonstrations are absent")
+    spaced = jax.jit(mapping.resample, static_argnames="count")
+    for file in sorted(folder.glob("*.npz")):
+        raw = jnp.asarray(np.load(file)["poses"])
+        demos = jnp.stack([spaced(dq.from_parts(p[:, :3], p[:, 3:]), 101) for p in raw])
+        pairs = np.array(list(itertools.permutations(range(len(demos)), 2)))
+        for name, run in apply.items():
+            wanted = demos[pairs[:, 1]]
+            mapped = run(demos[pairs[:, 0]], wanted[:, 0], wanted[:, -1])
+            gap = jnp.linalg.norm(dq.position(mapped) - dq.position(wanted), axis=-1)
+            errors[name].append(float(gap.mean()))
+    assert np.mean(errors["aligned"]) < 0.04
+    assert np.mean(errors["aligned"]) < np.mean(errors["ugp_blend"])
+
+
+def test_library_padding(library):
+    assert int(library.valid.sum()) == len(library.names) <= 32
+    assert library.poses.shape[1:] == (51, 8) and MAX_KEY_POSES == 8
