@@ -12,3 +12,49 @@ if "MUJOCO_GL" not in _os.environ and _sys.platform == "linux" and not _os.envir
         _os.environ["MUJOCO_GL"] = _found[0].lower()
 
 __version__ = "0.1.0"
+
+_EXPORTS = {
+    "load_workcell": "workcell.load",
+    "Workcell": "types",
+    "Trajectory": "types",
+    "Status": "types",
+    "tool_pose": "kernels.kinematics",
+    "jacobian": "kernels.kinematics",
+    "manipulability": "kernels.kinematics",
+    "clearance": "kernels.collision",
+    "sense": "kernels.rays",
+    "IkConfig": "ik",
+    "IkResult": "ik",
+    "solve_ik": "ik",
+    "MapConfig": "feasibility",
+    "FeasibilityMap": "feasibility",
+    "build_feasibility_map": "feasibility",
+    "SkillLibrary": "skills.library",
+    "build_library": "skills.library",
+    "Task": "skills.task",
+    "handling_task": "skills.task",
+    "sample_scene": "skills.task",
+    "Planner": "planner.pipeline",
+    "PlanResult": "planner.pipeline",
+    "PlannerConfig": "planner.pipeline",
+    "plan_motion": "planner.pipeline",
+    "open_run": "runfolder",
+    "load_planner": "planner.loading",
+    "execute": "simulation.execution",
+    "ExecutionReport": "simulation.execution",
+    "HybridJaxError": "errors",
+}
+__all__ = sorted(_EXPORTS)
+
+
+def __getattr__(name: str):
+    """Import a public name when it is first used: `import hybrid_jax` itself stays quick."""
+    if name not in _EXPORTS:
+        raise AttributeError(f"module 'hybrid_jax' has no attribute {name!r}")
+    import importlib
+
+    return getattr(importlib.import_module(f"hybrid_jax.{_EXPORTS[name]}"), name)
+
+
+def __dir__():
+    return __all__

@@ -57,10 +57,12 @@ def load(path: Path, kind: str, digest: str | None) -> tuple[dict, dict]:
     if header.get("format") != FORMAT or header.get("kind") != kind:
         raise RunFolderError(
             f"{path} holds {header.get('kind')!r} of format {header.get('format')}, "
-            f"not {kind!r} of format {FORMAT}")
+            f"not {kind!r} of format {FORMAT}"
+        )
     if digest is not None and header["workcell"] != digest:
         raise RunFolderError(
-            f"{path} belongs to another work cell ({header['workcell'][:12]}, not {digest[:12]})")
+            f"{path} belongs to another work cell ({header['workcell'][:12]}, not {digest[:12]})"
+        )
     return header, traverse_util.unflatten_dict(flat, sep="/")
 
 

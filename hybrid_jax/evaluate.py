@@ -11,8 +11,13 @@ from hybrid_jax.train import run_cli
 Method = Literal["hybrid", "lfd", "drl"]
 
 
-def main(run: Path, out: Path, trials: int = 10, methods: tuple[Method, ...] = ("hybrid", "lfd"),
-         seed: int = 0) -> int:
+def main(
+    run: Path,
+    out: Path,
+    trials: int = 10,
+    methods: tuple[Method, ...] = ("hybrid", "lfd"),
+    seed: int = 0,
+) -> int:
     """Plan and execute the sorting of one random object in each of N random scenes.
 
     Args:
@@ -35,7 +40,11 @@ def main(run: Path, out: Path, trials: int = 10, methods: tuple[Method, ...] = (
         progress = Progress(method, "trials")
         for number in range(trials):
             rows.append(study.run_trial(study.METHODS[method](planner), method, seed + number))
-            progress(number + 1, trials, f"placed {sum(r['success'] for r in rows if r['method'] == method)}")
+            progress(
+                number + 1,
+                trials,
+                f"placed {sum(r['success'] for r in rows if r['method'] == method)}",
+            )
     metrics = [metric for method in methods for metric in study.summarize(rows, method)]
     export.write_json(out, {"trials": rows, "metrics": metrics})
     print(study.as_table(metrics))

@@ -20,8 +20,10 @@ def _runs(sources: np.ndarray) -> list[dict]:
     """Runs of equal source as first and last point."""
     edges = np.flatnonzero(np.diff(sources)) + 1
     starts, ends = np.concatenate([[0], edges]), np.concatenate([edges, [len(sources)]]) - 1
-    return [{"source": SOURCES[int(sources[a])], "first": int(a), "last": int(b)}
-            for a, b in zip(starts, ends, strict=True)]
+    return [
+        {"source": SOURCES[int(sources[a])], "first": int(a), "last": int(b)}
+        for a, b in zip(starts, ends, strict=True)
+    ]
 
 
 def to_joint_trajectory(cell: Workcell, task: Task, plan: PlanResult) -> dict:
@@ -29,22 +31,38 @@ def to_joint_trajectory(cell: Workcell, task: Task, plan: PlanResult) -> dict:
 
     The points of all phases stand in one list; where the gripper acts, time passes at rest.
     """
-    out = {"joint_names": list(cell.joint_names), "points": [], "status": plan.status.name,
-           "detail": plan.detail, "skills": plan.skills, "parts": [], "gripper": []}
+    out = {
+        "joint_names": list(cell.joint_names),
+        "points": [],
+        "status": plan.status.name,
+        "detail": plan.detail,
+        "skills": plan.skills,
+        "parts": [],
+        "gripper": [],
+    }
     begin = 0.0
     sources = []
     for phase, trajectory in enumerate(plan.phases):
         closed = bool(task.carrying[task.phases[phase][0]])
-        out["gripper"].append({"time_from_start": round(begin, 4),
-                               "command": "close" if closed else "open"})
+        out["gripper"].append(
+            {"time_from_start": round(begin, 4), "command": "close" if closed else "open"}
+        )
         begin += GRIPPER_PAUSE if phase else 0.0
-        for t, q, v, a in zip(trajectory.times, trajectory.positions, trajectory.velocities,
-                              trajectory.accelerations, strict=True):
-            out["points"].append({
-                "positions": [round(float(x), 6) for x in q],
-                "velocities": [round(float(x), 6) for x in v],
-                "accelerations": [round(float(x), 6) for x in a],
-                "time_from_start": round(begin + float(t), 6)})
+        for t, q, v, a in zip(
+            trajectory.times,
+            trajectory.positions,
+            trajectory.velocities,
+            trajectory.accelerations,
+            strict=True,
+        ):
+            out["points"].append(
+                {
+                    "positions": [round(float(x), 6) for x in q],
+                    "velocities": [round(float(x), 6) for x in v],
+                    "accelerations": [round(float(x), 6) for x in a],
+                    "time_from_start": round(begin + float(t), 6),
+                }
+            )
         sources.append(trajectory.sources)
         begin += float(trajectory.times[-1])
     if sources:

@@ -61,14 +61,17 @@ class MapConfig:
 
     def __post_init__(self):
         if self.spacing <= 0 or any(u < v for u, v in zip(self.upper, self.lower, strict=True)):
-            raise ValueError(f"the grid is empty: lower {self.lower}, upper {self.upper}, "
-                             f"spacing {self.spacing}")
+            raise ValueError(
+                f"the grid is empty: lower {self.lower}, upper {self.upper}, spacing {self.spacing}"
+            )
 
     @property
     def shape(self) -> tuple[int, int, int, int]:
         """Voxels along x, y, z and orientations."""
-        counts = [int((u - v) / self.spacing + 1e-6) + 1
-                  for u, v in zip(self.upper, self.lower, strict=True)]
+        counts = [
+            int((u - v) / self.spacing + 1e-6) + 1
+            for u, v in zip(self.upper, self.lower, strict=True)
+        ]
         return counts[0], counts[1], counts[2], len(self.tilts) ** 2 * len(self.yaws)
 
 
@@ -97,8 +100,10 @@ def down_orientations(config: MapConfig) -> np.ndarray:
     down = jnp.array([0.0, 1.0, 0.0, 0.0])
     turns = []
     for yaw, about_x, about_y in itertools.product(config.yaws, config.tilts, config.tilts):
-        axes = [dq.quat_exp(jnp.array(v)) for v in ((0.0, 0.0, yaw), (about_x, 0.0, 0.0),
-                                                    (0.0, about_y, 0.0))]
+        axes = [
+            dq.quat_exp(jnp.array(v))
+            for v in ((0.0, 0.0, yaw), (about_x, 0.0, 0.0), (0.0, about_y, 0.0))
+        ]
         turns.append(dq.quat_mul(dq.quat_mul(dq.quat_mul(axes[0], axes[1]), axes[2]), down))
     return np.asarray(jnp.stack(turns))
 
@@ -108,9 +113,12 @@ def grid_poses(config: MapConfig) -> np.ndarray:
     axes = [config.lower[i] + config.spacing * np.arange(config.shape[i]) for i in range(3)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
     quats = down_orientations(config)
-    return np.asarray(dq.from_parts(
-        jnp.asarray(np.repeat(points, len(quats), axis=0), jnp.float32),
-        jnp.asarray(np.tile(quats, (len(points), 1)), jnp.float32)))
+    return np.asarray(
+        dq.from_parts(
+            jnp.asarray(np.repeat(points, len(quats), axis=0), jnp.float32),
+            jnp.asarray(np.tile(quats, (len(points), 1)), jnp.float32),
+        )
+    )
 
 
 @functools.partial(jax.jit, static_argnames="config")
@@ -123,14 +131,17 @@ def assess_pose(cell: Workcell, pose: Float[Array, "8"], key, config: MapConfig)
     free = solved.branch_found & (gap >= config.margin)
     best = jnp.argmax(jnp.where(free, 1e3 + man, jnp.where(solved.branch_found, gap, -1e3)))
     boundless = cell.chain.replace(limits=jnp.array([-1e3, 1e3]) * jnp.ones_like(cell.chain.limits))
-    _, error = descend(boundless, pose, cell.home, config.ik.iterations, config.ik.max_step,
-                       config.ik.damping)
+    _, error = descend(
+        boundless, pose, cell.home, config.ik.iterations, config.ik.max_step, config.ik.damping
+    )
     beyond = jnp.linalg.norm(error[:3]) <= config.ik.position_tolerance
-    colliding = jnp.where(gaps[best, 0] <= gaps[best, 1], Reason.CELL_COLLISION,
-                          Reason.SELF_COLLISION)
+    colliding = jnp.where(
+        gaps[best, 0] <= gaps[best, 1], Reason.CELL_COLLISION, Reason.SELF_COLLISION
+    )
     missing = jnp.where(beyond, Reason.JOINT_LIMIT, Reason.UNREACHABLE)
-    reason = jnp.where(jnp.any(free), Reason.FEASIBLE,
-                       jnp.where(jnp.any(solved.branch_found), colliding, missing))
+    reason = jnp.where(
+        jnp.any(free), Reason.FEASIBLE, jnp.where(jnp.any(solved.branch_found), colliding, missing)
+    )
     return reason.astype(jnp.uint8), man[best], gap[best], solved.branches[best]
 
 
@@ -139,8 +150,13 @@ def _assess_chunk(cell: Workcell, poses: Array, keys: Array, config: MapConfig):
     return jax.vmap(lambda pose, key: assess_pose(cell, pose, key, config))(poses, keys)
 
 
-def build_feasibility_map(cell: Workcell, config: MapConfig = MapConfig(), *, seed: int = 0,
-                          progress: Callable[[int, int], None] | None = None) -> FeasibilityMap:
+def build_feasibility_map(
+    cell: Workcell,
+    config: MapConfig = MapConfig(),
+    *,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> FeasibilityMap:
     """Judge every pose of the grid, chunk by chunk.
 
     Args:
@@ -166,12 +182,14 @@ def build_feasibility_map(cell: Workcell, config: MapConfig = MapConfig(), *, se
     fea = np.where(reason == Reason.FEASIBLE, share, 0.0)
     shape = config.shape
     return FeasibilityMap(
-        lower=jnp.array(config.lower), spacing=jnp.float32(config.spacing),
+        lower=jnp.array(config.lower),
+        spacing=jnp.float32(config.spacing),
         orientations=jnp.asarray(down_orientations(config)),
         feasibility=jnp.asarray(fea.reshape(shape), jnp.float32),
         reason=jnp.asarray(reason.reshape(shape), jnp.uint8),
         configuration=jnp.asarray(q.reshape(*shape, -1), jnp.float32),
-        manipulability_scale=jnp.float32(scale))
+        manipulability_scale=jnp.float32(scale),
+    )
 
 
 @jax.jit

@@ -67,8 +67,14 @@ def _solve_damped(j: Float[Array, "6 n"], error: Float[Array, "6"], damping: Arr
     return j.T @ jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(gram), True), error)
 
 
-def descend(chain: KinematicChain, pose: Float[Array, "8"], seed: Float[Array, "n"],
-            iterations: int, max_step: float, damping: float) -> tuple[Array, Array]:
+def descend(
+    chain: KinematicChain,
+    pose: Float[Array, "8"],
+    seed: Float[Array, "n"],
+    iterations: int,
+    max_step: float,
+    damping: float,
+) -> tuple[Array, Array]:
     """Follow damped least-squares steps from a seed; joints stay within their limits.
 
     Returns:
@@ -103,8 +109,14 @@ def _unwind(chain: KinematicChain, q: Array, reference: Array) -> Array:
 
 
 @functools.partial(jax.jit, static_argnames="config")
-def solve_ik(cell: Workcell, pose: Float[Array, "8"], reference: Float[Array, "n"] | None = None,
-             config: IkConfig = IkConfig(), *, key: PRNGKeyArray) -> IkResult:
+def solve_ik(
+    cell: Workcell,
+    pose: Float[Array, "8"],
+    reference: Float[Array, "n"] | None = None,
+    config: IkConfig = IkConfig(),
+    *,
+    key: PRNGKeyArray,
+) -> IkResult:
     """Configurations that bring the tool to a pose, from many seeds.
 
     Args:
@@ -127,13 +139,23 @@ def solve_ik(cell: Workcell, pose: Float[Array, "8"], reference: Float[Array, "n
     found = (position <= config.position_tolerance) & (rotation <= config.rotation_tolerance)
     away = jnp.max(jnp.abs(q - reference), axis=-1)
     best = jnp.argmin(jnp.where(found, away, 1e3 + position + 0.3 * rotation))
-    return IkResult(q=q[best], found=found[best], position_error=position[best],
-                    rotation_error=rotation[best], branches=q, branch_found=found)
+    return IkResult(
+        q=q[best],
+        found=found[best],
+        position_error=position[best],
+        rotation_error=rotation[best],
+        branches=q,
+        branch_found=found,
+    )
 
 
 @functools.partial(jax.jit, static_argnames="config")
-def track_poses(cell: Workcell, poses: Float[Array, "point 8"], start: Float[Array, "n"],
-                config: IkConfig = IkConfig(iterations=12)) -> tuple[Array, Array]:
+def track_poses(
+    cell: Workcell,
+    poses: Float[Array, "point 8"],
+    start: Float[Array, "n"],
+    config: IkConfig = IkConfig(iterations=12),
+) -> tuple[Array, Array]:
     """Follow a path of poses from a configuration on one branch, each point warm-started.
 
     Returns:
@@ -144,7 +166,8 @@ def track_poses(cell: Workcell, poses: Float[Array, "point 8"], start: Float[Arr
     def step(q, pose):
         q, error = descend(cell.chain, pose, q, config.iterations, config.max_step, config.damping)
         found = (jnp.linalg.norm(error[:3]) <= config.position_tolerance) & (
-            jnp.linalg.norm(error[3:]) <= config.rotation_tolerance)
+            jnp.linalg.norm(error[3:]) <= config.rotation_tolerance
+        )
         return q, (q, found)
 
     return jax.lax.scan(step, start, poses)[1]

@@ -18,7 +18,9 @@ FPS = 12
 """Frames of a film per simulated second."""
 
 
-def draw_curves(path: Path, rows: list[dict], title: str, unit: str, names: tuple[str, ...]) -> None:
+def draw_curves(
+    path: Path, rows: list[dict], title: str, unit: str, names: tuple[str, ...]
+) -> None:
     """One panel for each metric over the training's steps."""
     fig, axes = plt.subplots(1, len(names), figsize=(5 * len(names), 3.2), layout="constrained")
     for axis, name in zip(np.atleast_1d(axes), names, strict=True):
@@ -37,21 +39,34 @@ def draw_map(path: Path, fmap: FeasibilityMap) -> None:
     reason = np.asarray(fmap.reason)
     share = (reason == Reason.FEASIBLE).mean(axis=-1)
     lower, spacing = np.asarray(fmap.lower), float(fmap.spacing)
-    grid = np.stack(np.meshgrid(*[lower[i] + spacing * np.arange(n)
-                                  for i, n in enumerate(share.shape)], indexing="ij"), -1)
+    grid = np.stack(
+        np.meshgrid(
+            *[lower[i] + spacing * np.arange(n) for i, n in enumerate(share.shape)], indexing="ij"
+        ),
+        -1,
+    )
     fig = plt.figure(figsize=(15, 4.6), layout="constrained")
     cloud = fig.add_subplot(1, 3, 1, projection="3d")
-    shown = cloud.scatter(*grid.reshape(-1, 3).T, c=share.ravel(), cmap="coolwarm", s=14, alpha=0.55,
-                          vmin=0, vmax=1)
+    shown = cloud.scatter(
+        *grid.reshape(-1, 3).T, c=share.ravel(), cmap="coolwarm", s=14, alpha=0.55, vmin=0, vmax=1
+    )
     cloud.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
     cloud.set_title("feasible share of orientations")
     fig.colorbar(shown, ax=cloud, shrink=0.7)
     middle = share.shape[2] // 2 if share.shape[2] > 1 else 0
     cut = fig.add_subplot(1, 3, 2)
-    extent = (lower[0] - spacing / 2, lower[0] + spacing * (share.shape[0] - 0.5),
-              lower[1] - spacing / 2, lower[1] + spacing * (share.shape[1] - 0.5))
-    cut.imshow(share[:, :, middle].T, origin="lower", extent=extent, cmap="coolwarm", vmin=0, vmax=1)
-    cut.set(xlabel="x [m]", ylabel="y [m]", title=f"slice at z = {lower[2] + spacing * middle:.2f} m")
+    extent = (
+        lower[0] - spacing / 2,
+        lower[0] + spacing * (share.shape[0] - 0.5),
+        lower[1] - spacing / 2,
+        lower[1] + spacing * (share.shape[1] - 0.5),
+    )
+    cut.imshow(
+        share[:, :, middle].T, origin="lower", extent=extent, cmap="coolwarm", vmin=0, vmax=1
+    )
+    cut.set(
+        xlabel="x [m]", ylabel="y [m]", title=f"slice at z = {lower[2] + spacing * middle:.2f} m"
+    )
     bars = fig.add_subplot(1, 3, 3)
     counts = [(reason == r).mean() for r in Reason]
     bars.barh([r.name.lower().replace("_", " ") for r in Reason], counts, color="tab:gray")
@@ -66,8 +81,10 @@ def make_renderer(model: mujoco.MjModel) -> mujoco.Renderer | None:
     try:
         return mujoco.Renderer(model, 360, 480)
     except Exception as error:  # noqa: BLE001  GL back ends raise whatever they like
-        print(f"no film: off-screen rendering failed ({type(error).__name__}); install EGL or set "
-              "MUJOCO_GL=osmesa with OSMesa installed. The rest of the run is not affected.")
+        print(
+            f"no film: off-screen rendering failed ({type(error).__name__}); install EGL or set "
+            "MUJOCO_GL=osmesa with OSMesa installed. The rest of the run is not affected."
+        )
         return None
 
 
@@ -76,8 +93,14 @@ class Film:
 
     def __init__(self, cell: Workcell):
         self.renderer = make_renderer(cell.model)
-        self.camera = "overview" if any(
-            cell.model.camera(i).name == "overview" for i in range(cell.model.ncam)) else -1
+        if self.renderer is not None:  # software renderers spend most of their time on shadows
+            self.renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
+            self.renderer.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
+        self.camera = (
+            "overview"
+            if any(cell.model.camera(i).name == "overview" for i in range(cell.model.ncam))
+            else -1
+        )
         self.frames: list[np.ndarray] = []
 
     def watch(self, data: mujoco.MjData) -> None:

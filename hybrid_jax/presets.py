@@ -39,26 +39,59 @@ DEFAULT = Preset(
 
 PAPER = Preset(
     map=MapConfig(spacing=0.1, tilts=(-0.6, -0.3, 0.0, 0.3, 0.6)),
-    joint=JointAgentConfig(training=PpoConfig(
-        steps=1_000_000, envs=32, unroll=64, epochs=10, minibatch=64, learning_rate=3e-4,
-        discount=0.99, entropy=0.0, hidden=(64, 64))),
-    switch=SwitchConfig(jump=0.0, switch=0.0, collision=1.0, training=PpoConfig(
-        steps=2_000_000, envs=16, unroll=200, epochs=10, minibatch=32, learning_rate=1e-3,
-        discount=0.96, entropy=0.0, hidden=(64, 64))),
+    joint=JointAgentConfig(
+        training=PpoConfig(
+            steps=1_000_000,
+            envs=32,
+            unroll=64,
+            epochs=10,
+            minibatch=64,
+            learning_rate=3e-4,
+            discount=0.99,
+            entropy=0.0,
+            hidden=(64, 64),
+        )
+    ),
+    switch=SwitchConfig(
+        jump=0.0,
+        switch=0.0,
+        collision=1.0,
+        training=PpoConfig(
+            steps=2_000_000,
+            envs=16,
+            unroll=200,
+            epochs=10,
+            minibatch=32,
+            learning_rate=1e-3,
+            discount=0.96,
+            entropy=0.0,
+            hidden=(64, 64),
+        ),
+    ),
     planner=PlannerConfig(skills=SkillConfig(map="ugp_blend", distance="euclidean")),
     tasks=100,
 )
 """The paper's tables, maps and distances; see docs/differences.md for what still differs."""
 
 SMOKE = Preset(
-    map=MapConfig(spacing=0.3, tilts=(0.0,), yaws=(0.0,), ik=IkConfig(seeds=2, iterations=20),
-                  chunk=128),
+    map=MapConfig(
+        spacing=0.3, tilts=(0.0,), yaws=(0.0,), ik=IkConfig(seeds=2, iterations=20), chunk=128
+    ),
     dqn=DqnConfig(iterations=500),
-    joint=replace(JointAgentConfig(), training=PpoConfig(
-        steps=8_192, envs=64, unroll=32, minibatch=512, hidden=(32, 32)), rollouts=8, retries=1),
-    switch=replace(SwitchConfig(), training=PpoConfig(
-        steps=6_400, envs=16, unroll=50, minibatch=200, hidden=(32, 32))),
-    tasks=4, held_out=2, switch_tasks=4, demo_objects=1,
+    joint=replace(
+        JointAgentConfig(),
+        training=PpoConfig(steps=8_192, envs=64, unroll=32, minibatch=512, hidden=(32, 32)),
+        rollouts=8,
+        retries=1,
+    ),
+    switch=replace(
+        SwitchConfig(),
+        training=PpoConfig(steps=6_400, envs=16, unroll=50, minibatch=200, hidden=(32, 32)),
+    ),
+    tasks=4,
+    held_out=2,
+    switch_tasks=4,
+    demo_objects=1,
 )
 """Runs every stage once, learns next to nothing."""
 

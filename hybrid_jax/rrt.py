@@ -79,9 +79,11 @@ def _iterate(cell: Workcell, config: RrtConfig, state: _State, turn: Array) -> _
     free = edge_clearance(cell, start, new, config.edge_samples) >= config.margin
     add = free & ~state.solved & (tree.count < config.nodes)
     at = jnp.where(add, tree.count, config.nodes)
-    grown = tree.replace(nodes=tree.nodes.at[at].set(new, mode="drop"),
-                         parents=tree.parents.at[at].set(near, mode="drop"),
-                         count=tree.count + add)
+    grown = tree.replace(
+        nodes=tree.nodes.at[at].set(new, mode="drop"),
+        parents=tree.parents.at[at].set(near, mode="drop"),
+        count=tree.count + add,
+    )
     meet, gap = _nearest(other, new)
     joined = edge_clearance(cell, new, other.nodes[meet], config.join_samples) >= config.margin
     joined &= add & (gap <= config.reach)
@@ -107,7 +109,9 @@ def _search(cell: Workcell, scenes: Scene, starts, goals, keys, config: RrtConfi
 
     def iterate(carry):
         turn, state = carry
-        step = jax.vmap(lambda scene, one: _iterate(cell.replace(scene=scene), config, one, turn % 2))
+        step = jax.vmap(
+            lambda scene, one: _iterate(cell.replace(scene=scene), config, one, turn % 2)
+        )
         return turn + 1, step(scenes, state)
 
     state = jax.vmap(init)(scenes, starts, goals, keys)
@@ -122,9 +126,15 @@ def _trace(nodes: np.ndarray, parents: np.ndarray, index: int) -> list[np.ndarra
     return path
 
 
-def plan_paths(cell: Workcell, scenes: Scene, starts: Float[Array, "problem n"],
-               goals: Float[Array, "problem n"], config: RrtConfig = RrtConfig(), *,
-               key: PRNGKeyArray) -> list[np.ndarray | None]:
+def plan_paths(
+    cell: Workcell,
+    scenes: Scene,
+    starts: Float[Array, "problem n"],
+    goals: Float[Array, "problem n"],
+    config: RrtConfig = RrtConfig(),
+    *,
+    key: PRNGKeyArray,
+) -> list[np.ndarray | None]:
     """Way points from each start to each goal, each in its own scene; None where none was found.
 
     Args:

@@ -62,8 +62,11 @@ class Run:
 
 
 def _free_folder(parent: Path, name: str) -> Path:
-    taken = [int(p.name.rpartition("-")[2]) for p in parent.glob(f"{name}-*")
-             if p.name.rpartition("-")[2].isdigit()]
+    taken = [
+        int(p.name.rpartition("-")[2])
+        for p in parent.glob(f"{name}-*")
+        if p.name.rpartition("-")[2].isdigit()
+    ]
     return parent / f"{name}-{max(taken, default=0) + 1:03d}"
 
 
@@ -86,12 +89,18 @@ def create_run(workcell: str, preset: str, seed: int, out: Path | None) -> Run:
     cell = load_workcell(workcell)
     folder = out or _free_folder(Path("runs"), cell.source.name)
     if (folder / "config.json").exists():
-        raise RunFolderError(f"{folder} already holds a run; add --resume to go on with it, or "
-                             "choose another --out")
+        raise RunFolderError(
+            f"{folder} already holds a run; add --resume to go on with it, or choose another --out"
+        )
     folder.mkdir(parents=True, exist_ok=True)
     source = str(Path(workcell).resolve()) if Path(workcell).is_file() else workcell
-    values = {"workcell": source, "digest": cell.source.digest, "preset": preset, "seed": seed,
-              "configuration": dataclasses.asdict(PRESETS[preset])}
+    values = {
+        "workcell": source,
+        "digest": cell.source.digest,
+        "preset": preset,
+        "seed": seed,
+        "configuration": dataclasses.asdict(PRESETS[preset]),
+    }
     partial = folder / "config.json.partial"
     partial.write_text(json.dumps(values, indent=1))
     os.replace(partial, folder / "config.json")
@@ -114,7 +123,8 @@ def open_run(folder: Path | None, workcell: str = "") -> Run:
         if cell.source.digest != values["digest"]:
             raise RunFolderError(
                 f"{path}: the run was made for another version of cell {values['workcell']!r} "
-                f"({values['digest'][:12]}, now {cell.source.digest[:12]}); start a new run")
+                f"({values['digest'][:12]}, now {cell.source.digest[:12]}); start a new run"
+            )
         return Run(folder, cell, values["preset"], values["seed"])
     except (ValueError, KeyError) as error:
         raise RunFolderError(f"{path} is damaged: {error!r}") from None

@@ -36,8 +36,9 @@ Stage = Callable[[Run, bool], dict]
 def run_map(run: Run, quiet: bool) -> dict:
     """Feasibility map (Algorithm 1, line 3)."""
     progress = Progress("map", "poses", quiet)
-    fmap = feasibility.build_feasibility_map(run.cell, run.preset.map, seed=run.seed,
-                                             progress=progress)
+    fmap = feasibility.build_feasibility_map(
+        run.cell, run.preset.map, seed=run.seed, progress=progress
+    )
     pictures.draw_map(run.path("map.png"), fmap)
     feasibility.save_map(run.path("map.npz"), run.cell, fmap)
     counts = np.bincount(np.asarray(fmap.reason).ravel(), minlength=len(feasibility.Reason))
@@ -51,8 +52,9 @@ def task_batch(run: Run, numbers: range) -> dqn.TaskBatch:
     library = read_library(run.cell)
     rows = [pad_task(random_task(run.cell, number)) for number in numbers]
     poses, carrying, counts = (jnp.asarray(np.stack(column)) for column in zip(*rows, strict=True))
-    cost = jax.jit(jax.vmap(lambda p, c, n: segment_costs(
-        library, p, c, n, run.preset.planner.skills).cost))(poses, carrying, counts)
+    cost = jax.jit(
+        jax.vmap(lambda p, c, n: segment_costs(library, p, c, n, run.preset.planner.skills).cost)
+    )(poses, carrying, counts)
     return dqn.TaskBatch(poses, counts, cost)
 
 
@@ -61,8 +63,12 @@ def run_lfd(run: Run, quiet: bool) -> dict:
     config = run.preset.dqn
     tasks = task_batch(run, range(TRAINING_TASKS, TRAINING_TASKS + run.preset.tasks))
     held_out = task_batch(run, range(HELD_OUT_TASKS, HELD_OUT_TASKS + run.preset.held_out))
-    best = np.array([optimal_plan(np.asarray(held_out.cost[i]), int(held_out.count[i]))[1]
-                     for i in range(len(held_out.count))])
+    best = np.array(
+        [
+            optimal_plan(np.asarray(held_out.cost[i]), int(held_out.count[i]))[1]
+            for i in range(len(held_out.count))
+        ]
+    )
     chunk = max(1, config.iterations // 24)
     trainer = dqn.make_trainer(tasks, config, chunk)
     evaluate = jax.jit(lambda params: dqn.greedy_plans(config, params, held_out)[1])
@@ -73,14 +79,22 @@ def run_lfd(run: Run, quiet: bool) -> dict:
         total = np.asarray(evaluate(state.params))
         solved = np.isfinite(total) & np.isfinite(best)
         ratio = float(total[solved].sum() / best[solved].sum()) if solved.any() else float("nan")
-        row = {"step": done, "reward": float(metrics["reward"].mean()),
-               "solved": float(solved.sum() / max(np.isfinite(best).sum(), 1)),
-               "cost_over_optimum": round(ratio, 4)}
+        row = {
+            "step": done,
+            "reward": float(metrics["reward"].mean()),
+            "solved": float(solved.sum() / max(np.isfinite(best).sum(), 1)),
+            "cost_over_optimum": round(ratio, 4),
+        }
         run.log("lfd", row)
         progress(done, chunk * (config.iterations // chunk), f"solved {row['solved']:.2f}")
     run.save("lfd.npz", "hierarchical DQN", state.params)
-    pictures.draw_curves(run.path("lfd.png"), run.metrics("lfd"), "Hierarchical DQN (RL-LfD)",
-                         "updates", ("reward", "cost_over_optimum"))
+    pictures.draw_curves(
+        run.path("lfd.png"),
+        run.metrics("lfd"),
+        "Hierarchical DQN (RL-LfD)",
+        "updates",
+        ("reward", "cost_over_optimum"),
+    )
     return {"held_out_solved": row["solved"], "cost_over_optimum": row["cost_over_optimum"]}
 
 
@@ -93,9 +107,17 @@ def optimal_chooser(key_poses: np.ndarray, count: int, costs: SegmentCosts):
 def collect_segments(run: Run, name: str, first: int, count: int, quiet: bool) -> harvest.Segments:
     """Infeasible segments of random tasks, kept in a file of the run."""
     progress = Progress(name, "tasks", quiet)
-    return harvest.harvest(run.cell, read_library(run.cell), optimal_chooser,
-                            run.preset.planner.skills, run.preset.planner.labels, read_scale(run),
-                            tasks=range(first, first + count), seed=run.seed, progress=progress)
+    return harvest.harvest(
+        run.cell,
+        read_library(run.cell),
+        optimal_chooser,
+        run.preset.planner.skills,
+        run.preset.planner.labels,
+        read_scale(run),
+        tasks=range(first, first + count),
+        seed=run.seed,
+        progress=progress,
+    )
 
 
 def training_segments(run: Run, quiet: bool) -> tuple[harvest.Segments, np.ndarray]:
@@ -103,18 +125,24 @@ def training_segments(run: Run, quiet: bool) -> tuple[harvest.Segments, np.ndarr
     path = run.path("segments.npz")
     if not path.is_file():
         found = collect_segments(run, "collect", TRAINING_TASKS, run.preset.tasks, quiet)
-        segments, paths = joint.expert_paths(run.cell, found, run.preset.joint,
-                                             jax.random.key(run.seed))
-        run.save(path.name, "infeasible segments", {"segments": segments, "paths": paths},
-                 found=int(found.start.shape[0]))
+        segments, paths = joint.expert_paths(
+            run.cell, found, run.preset.joint, jax.random.key(run.seed)
+        )
+        run.save(
+            path.name,
+            "infeasible segments",
+            {"segments": segments, "paths": paths},
+            found=int(found.start.shape[0]),
+        )
     _, state = run.load(path.name, "infeasible segments")
     scene = artifacts.restore(run.cell.scene, state["segments"]["scene"])
     segments = harvest.Segments(scene, state["segments"]["start"], state["segments"]["goal"])
     return jax.tree.map(jnp.asarray, segments), state["paths"]
 
 
-def _train_ppo(run: Run, stage: str, env, net, config: ppo.PpoConfig, quiet: bool,
-               every: int = 20) -> ppo.PpoState:
+def _train_ppo(
+    run: Run, stage: str, env, net, config: ppo.PpoConfig, quiet: bool, every: int = 20
+) -> ppo.PpoState:
     """Train with progress, metrics and checkpoints; goes on from a checkpoint if there is one."""
     checkpoint = run.path(f"{stage}_checkpoint.npz")
     latest, success = ppo.initialize(env, net, config), 0.0
@@ -130,8 +158,7 @@ def _train_ppo(run: Run, stage: str, env, net, config: ppo.PpoConfig, quiet: boo
         nonlocal latest, success
         latest, success = state, metrics.get("success", success)
         run.log(stage, {"step": steps, **{k: round(v, 5) for k, v in metrics.items()}})
-        progress(steps, config.iterations * config.envs * config.unroll,
-                 f"success {success:.2f}")
+        progress(steps, config.iterations * config.envs * config.unroll, f"success {success:.2f}")
         if int(state.iteration) % every == 0:
             keep()
 
@@ -149,18 +176,31 @@ def run_drl(run: Run, quiet: bool) -> dict:
     config = run.preset.joint
     segments, paths = training_segments(run, quiet)
     net = joint.make_net(run.cell, config)
-    state = _train_ppo(run, "drl", joint.make_env(run.cell, segments, paths, config), net,
-                       config.training, quiet)
+    state = _train_ppo(
+        run, "drl", joint.make_env(run.cell, segments, paths, config), net, config.training, quiet
+    )
     policy = ppo.Policy(state.policy, state.normalizer)
     test = collect_segments(run, "collect", HELD_OUT_TASKS, run.preset.held_out, quiet)
-    single, best = joint.success_rates(run.cell, net, policy, config, test, jax.random.key(run.seed))
-    run.log("drl", {"step": config.training.steps + 1, "held_out_single": single,
-                    "held_out_best_of_16": best})
+    single, best = joint.success_rates(
+        run.cell, net, policy, config, test, jax.random.key(run.seed)
+    )
+    run.log(
+        "drl",
+        {"step": config.training.steps + 1, "held_out_single": single, "held_out_best_of_16": best},
+    )
     run.save("drl.npz", "joint agent", policy)
-    pictures.draw_curves(run.path("drl.png"), run.metrics("drl"), "DRL-Feasibility (PPO)",
-                         "environment steps", ("success", "return"))
-    return {"segments": len(paths), "held_out_single": round(single, 3),
-            "held_out_best_of_16": round(best, 3)}
+    pictures.draw_curves(
+        run.path("drl.png"),
+        run.metrics("drl"),
+        "DRL-Feasibility (PPO)",
+        "environment steps",
+        ("success", "return"),
+    )
+    return {
+        "segments": len(paths),
+        "held_out_single": round(single, 3),
+        "held_out_best_of_16": round(best, 3),
+    }
 
 
 def combined_problems(run: Run, quiet: bool) -> switching.Combined:
@@ -186,28 +226,44 @@ def run_switch(run: Run, quiet: bool) -> dict:
         if run.preset_name != "smoke":
             raise
         print(f"switch: {error}; training on the skills' motions alone")
-        problems = stack_scenes(combining.skill_problems(load_planner(run, switch="optimal"),
-                                                         random_task(run.cell, TRAINING_TASKS)))
+        problems = stack_scenes(
+            combining.skill_problems(
+                load_planner(run, switch="optimal"), random_task(run.cell, TRAINING_TASKS)
+            )
+        )
     net = switching.make_net(run.cell.home.size, config)
-    state = _train_ppo(run, "switch", switching.SwitchEnv(problems, config), net, config.training,
-                       quiet)
+    state = _train_ppo(
+        run, "switch", switching.SwitchEnv(problems, config), net, config.training, quiet
+    )
     policy = ppo.Policy(state.policy, state.normalizer)
     _, reward = jax.jit(functools.partial(switching.choose, net, config=config))(policy, problems)
     count = problems.available.shape[0]
-    best = np.array([switching.optimal_switching(jax.tree.map(lambda a, i=i: a[i], problems),
-                                                 config)[1] for i in range(count)])
+    best = np.array(
+        [
+            switching.optimal_switching(jax.tree.map(lambda a, i=i: a[i], problems), config)[1]
+            for i in range(count)
+        ]
+    )
     run.save("switch.npz", "switching agent", policy)
-    pictures.draw_curves(run.path("switch.png"), run.metrics("switch"), "Switching agent (PPO)",
-                         "environment steps", ("return", "success"))
-    return {"problems": count, "reward": round(float(np.mean(reward)), 2),
-            "optimum": round(float(best.mean()), 2)}
+    pictures.draw_curves(
+        run.path("switch.png"),
+        run.metrics("switch"),
+        "Switching agent (PPO)",
+        "environment steps",
+        ("return", "success"),
+    )
+    return {
+        "problems": count,
+        "reward": round(float(np.mean(reward)), 2),
+        "optimum": round(float(best.mean()), 2),
+    }
 
 
 def run_demo(run: Run, quiet: bool) -> dict:
     """Plan and execute the sorting of one scene, object after object, in physics."""
     cell, preset = run.cell, run.preset
     planner = load_planner(run)
-    names = [spec.name for spec in require_handling(cell).objects][-preset.demo_objects:]
+    names = [spec.name for spec in require_handling(cell).objects][-preset.demo_objects :]
     poses = sample_scene(cell, run.seed)
     film = pictures.Film(cell)
     data, rows = None, []
@@ -215,30 +271,55 @@ def run_demo(run: Run, quiet: bool) -> dict:
         task = handling_task(cell, name, poses)
         began = time.perf_counter()
         plan = plan_motion(planner, task, key=jax.random.fold_in(jax.random.key(run.seed), number))
-        row = {"step": number, "object": name, "status": plan.status.name, "detail": plan.detail,
-               "planning_s": round(time.perf_counter() - began, 2), "drl_share": round(plan.drl_share, 3)}
+        row = {
+            "step": number,
+            "object": name,
+            "status": plan.status.name,
+            "detail": plan.detail,
+            "planning_s": round(time.perf_counter() - began, 2),
+            "drl_share": round(plan.drl_share, 3),
+        }
         if plan.status is Status.OK:
             data = start_data(cell, task) if data is None else data
             report = execute(cell, task, plan, watch=film.watch, data=data)
             poses = report.object_poses
-            row |= {"placed": report.placed, "touched": report.touched,
-                    "tracking_error": round(report.tracking_error, 4), "skills": plan.skills,
-                    "execution_s": round(report.duration, 1)}
+            row |= {
+                "placed": report.placed,
+                "touched": report.touched,
+                "tracking_error": round(report.tracking_error, 4),
+                "skills": plan.skills,
+                "execution_s": round(report.duration, 1),
+            }
         rows.append(row)
         run.log("demo", row)
         if not quiet:
-            print(f"demo    {name}: {row['status']}"
-                  + (f", {'placed' if row.get('placed') else 'not placed'}" if "placed" in row else
-                     f" ({row['detail']})"), flush=True)
+            print(
+                f"demo    {name}: {row['status']}"
+                + (
+                    f", {'placed' if row.get('placed') else 'not placed'}"
+                    if "placed" in row
+                    else f" ({row['detail']})"
+                ),
+                flush=True,
+            )
     film.save(run.folder)
     placed = sum(bool(row.get("placed")) for row in rows)
     hybrid = sum(bool(row.get("placed")) and 0 < row["drl_share"] < 1 for row in rows)
-    summary = {"objects": len(rows), "placed": placed, "placed_by_both_agents": hybrid,
-               "touched": sum(bool(row.get("touched")) for row in rows)}
+    summary = {
+        "objects": len(rows),
+        "placed": placed,
+        "placed_by_both_agents": hybrid,
+        "touched": sum(bool(row.get("touched")) for row in rows),
+    }
     run.path("demo.json").write_text(json.dumps({"summary": summary, "objects": rows}, indent=1))
     return summary
 
 
 STAGE_FUNCTIONS: dict[str, Stage] = {
-    "map": run_map, "lfd": run_lfd, "drl": run_drl, "switch": run_switch, "demo": run_demo}
+    "map": run_map,
+    "lfd": run_lfd,
+    "drl": run_drl,
+    "switch": run_switch,
+    "demo": run_demo,
+}
 """The function of each stage, in order."""

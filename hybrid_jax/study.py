@@ -29,16 +29,36 @@ def run_trial(method: tuple[Planner, Callable[..., PlanResult]], name: str, seed
     task: Task = random_task(planner.cell, seed)
     began = time.perf_counter()
     result = plan(planner, task, key=jax.random.key(seed))
-    row = {"method": name, "seed": seed, "object": task.object_name, "status": result.status.name,
-           "detail": result.detail, "planning_s": round(time.perf_counter() - began, 3),
-           "drl_share": round(result.drl_share, 3), "success": False, "cause": "no plan"}
+    row = {
+        "method": name,
+        "seed": seed,
+        "object": task.object_name,
+        "status": result.status.name,
+        "detail": result.detail,
+        "planning_s": round(time.perf_counter() - began, 3),
+        "drl_share": round(result.drl_share, 3),
+        "success": False,
+        "cause": "no plan",
+    }
     if result.status is not Status.OK:
         return row
     report = execute(planner.cell, task, result)
-    cause = ("" if report.success else "lost in transfer" if not report.grasped
-             else "wrong place" if not report.placed else "collision")
-    return row | {"success": report.success, "placed": report.placed, "touched": report.touched,
-                  "cause": cause, "cycle_s": round(report.duration, 2)}
+    cause = (
+        ""
+        if report.success
+        else "lost in transfer"
+        if not report.grasped
+        else "wrong place"
+        if not report.placed
+        else "collision"
+    )
+    return row | {
+        "success": report.success,
+        "placed": report.placed,
+        "touched": report.touched,
+        "cause": cause,
+        "cycle_s": round(report.duration, 2),
+    }
 
 
 def summarize(rows: list[dict], method: str) -> list[dict]:
@@ -51,16 +71,29 @@ def summarize(rows: list[dict], method: str) -> list[dict]:
     if causes:
         note += "; failures: " + ", ".join(f"{k} {v}" for k, v in causes.most_common())
     device = jax.devices()[0].device_kind
-    found = [{"key": f"evaluate.{method}_success", "value": wins / len(own), "unit": "1",
-              "better": "higher", "device": device, "note": note},
-             {"key": f"evaluate.{method}_planning_time",
-              "value": float(np.median([row["planning_s"] for row in own])), "unit": "s",
-              "better": "lower", "device": device, "note": "median, first call compiles"}]
+    found = [
+        {
+            "key": f"evaluate.{method}_success",
+            "value": wins / len(own),
+            "unit": "1",
+            "better": "higher",
+            "device": device,
+            "note": note,
+        },
+        {
+            "key": f"evaluate.{method}_planning_time",
+            "value": float(np.median([row["planning_s"] for row in own])),
+            "unit": "s",
+            "better": "lower",
+            "device": device,
+            "note": "median, first call compiles",
+        },
+    ]
     return found
 
 
 def as_table(metrics: list[dict]) -> str:
     """Metrics as aligned lines."""
-    return "\n".join(f"{m['key']:34s} {m['value']:>10.4g} {m['unit']:3s} {m['note']}" for m in metrics)
-
-
+    return "\n".join(
+        f"{m['key']:34s} {m['value']:>10.4g} {m['unit']:3s} {m['note']}" for m in metrics
+    )

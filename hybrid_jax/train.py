@@ -41,8 +41,11 @@ def main(
     for stage in stages:
         if stage not in runfolder.STAGES:
             raise UnknownNameError("stage", stage, runfolder.STAGES)
-    run = (runfolder.open_run(out, workcell) if resume
-           else runfolder.create_run(workcell, preset, seed, out))
+    run = (
+        runfolder.open_run(out, workcell)
+        if resume
+        else runfolder.create_run(workcell, preset, seed, out)
+    )
     print(f"run folder: {run.folder}", flush=True)
     rows = []
     for stage in runfolder.STAGES:
@@ -53,8 +56,11 @@ def main(
         try:
             result = STAGE_FUNCTIONS[stage](run, quiet)
         except KeyboardInterrupt:
-            print(f"\nstopped in stage {stage!r}; go on with: python -m hybrid_jax.train --resume "
-                  f"--out {run.folder}", flush=True)
+            print(
+                f"\nstopped in stage {stage!r}; go on with: python -m hybrid_jax.train --resume "
+                f"--out {run.folder}",
+                flush=True,
+            )
             return 130
         rows.append((stage, time.perf_counter() - began, result))
     print_summary(rows)

@@ -11,8 +11,10 @@ WORLD = "<mujoco><worldbody>{}</worldbody></mujoco>"
 def geom_pair(kind_a, size_a, kind_b, size_b):
     """Model and data of two free geoms."""
     body = '<body><freejoint/><geom type="{}" size="{}"/></body>'
-    text = WORLD.format(body.format(kind_a, " ".join(map(str, size_a)))
-                        + body.format(kind_b, " ".join(map(str, size_b))))
+    text = WORLD.format(
+        body.format(kind_a, " ".join(map(str, size_a)))
+        + body.format(kind_b, " ".join(map(str, size_b)))
+    )
     model = mujoco.MjModel.from_xml_string(text)
     return model, mujoco.MjData(model)
 

@@ -26,8 +26,12 @@ def pairs_of(cell):
     """(geom, geom, both on the robot) of every pair that MuJoCo would check."""
     model, moved = cell.model, robot_bodies(cell)
     on = moved[model.geom_bodyid]
-    return [(a, b, bool(on[a] and on[b])) for a in range(model.ngeom) for b in range(a + 1, model.ngeom)
-            if (on[a] or on[b]) and may_collide(model, a, b)]
+    return [
+        (a, b, bool(on[a] and on[b]))
+        for a in range(model.ngeom)
+        for b in range(a + 1, model.ngeom)
+        if (on[a] or on[b]) and may_collide(model, a, b)
+    ]
 
 
 def engine_clearances(cell, data, pairs):
@@ -102,7 +106,9 @@ def test_open_fingers_are_wider(cell):
     from hybrid_jax.kernels.kinematics import joint_frames
 
     frames = joint_frames(cell.chain, q)
-    spans = [np.ptp(np.asarray(robot_shapes(c, frames).capsule_ends)[:, 0, 0]) for c in (wide, narrow)]
+    spans = [
+        np.ptp(np.asarray(robot_shapes(c, frames).capsule_ends)[:, 0, 0]) for c in (wide, narrow)
+    ]
     assert spans[0] > spans[1]
 
 
@@ -132,6 +138,8 @@ def test_gradient_agrees_with_finite_differences(tmp_path):
     for q in ([0.1, 0.2], [-1.2, 0.4], [2.0, -0.5]):
         q = jnp.array(q)
         step = 1e-2
-        wanted = [(clearance(small, q + step * e) - clearance(small, q - step * e)) / (2 * step)
-                  for e in jnp.eye(2)]
+        wanted = [
+            (clearance(small, q + step * e) - clearance(small, q - step * e)) / (2 * step)
+            for e in jnp.eye(2)
+        ]
         np.testing.assert_allclose(grad(q), wanted, atol=5e-3)

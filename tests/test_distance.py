@@ -80,7 +80,9 @@ def test_capsule_through_box_has_the_depth_of_the_minkowski_difference():
         if oracles.sampled_segment_box(ends, half) > 0:
             continue
         depth = oracles.penetration(ends.astype(float), oracles.box_corners(half))
-        assert float(pair(ends, 0.05, half.astype(np.float32))) == pytest.approx(-depth - 0.05, abs=2e-5)
+        assert float(pair(ends, 0.05, half.astype(np.float32))) == pytest.approx(
+            -depth - 0.05, abs=2e-5
+        )
         checked += 1
     assert checked > 50
 
@@ -91,12 +93,16 @@ def test_boxes():
 
     @jax.jit
     def pair(centre, rotation):
-        return distance.box_box(centre, rotation, half_a.astype(np.float32), half_b.astype(np.float32))
+        return distance.box_box(
+            centre, rotation, half_a.astype(np.float32), half_b.astype(np.float32)
+        )
 
     apart = 0
     for pa, qa, pb, qb in placed_pairs(model, data, 300, 0.3, seed=2):
         rot_a, rot_b = matrix(qa), matrix(qb)
-        got = float(pair((rot_b.T @ (pa - pb)).astype(np.float32), (rot_b.T @ rot_a).astype(np.float32)))
+        got = float(
+            pair((rot_b.T @ (pa - pb)).astype(np.float32), (rot_b.T @ rot_a).astype(np.float32))
+        )
         wanted = mujoco.mj_geomDistance(model, data, 0, 1, 5.0, None)
         if got > 0:
             assert got == pytest.approx(wanted, abs=1e-4)
@@ -111,18 +117,27 @@ def test_boxes():
 
 def test_planes():
     rng = np.random.default_rng(5)
-    model = mujoco.MjModel.from_xml_string(oracles.WORLD.format(
-        '<geom type="plane" size="1 1 1" pos="0 0 .1"/><body><freejoint/>'
-        '<geom type="box" size=".1 .2 .3"/><geom type="capsule" size=".05 .2"/></body>'))
+    model = mujoco.MjModel.from_xml_string(
+        oracles.WORLD.format(
+            '<geom type="plane" size="1 1 1" pos="0 0 .1"/><body><freejoint/>'
+            '<geom type="box" size=".1 .2 .3"/><geom type="capsule" size=".05 .2"/></body>'
+        )
+    )
     data = mujoco.MjData(model)
     plane = jnp.array([0.0, 0.0, 1.0, 0.1])
     for _ in range(50):
         data.qpos[:3], data.qpos[3:] = rng.uniform(-0.5, 1, 3), oracles.random_quat(rng)
         mujoco.mj_kinematics(model, data)
-        box = distance.box_plane(jnp.asarray(data.geom_xpos[1]), jnp.asarray(
-            data.geom_xmat[1].reshape(3, 3)), jnp.array([0.1, 0.2, 0.3]), plane)
-        lowest = (oracles.box_corners(np.array([0.1, 0.2, 0.3])) @ data.geom_xmat[1].reshape(3, 3).T
-                  + data.geom_xpos[1])[:, 2].min() - 0.1
+        box = distance.box_plane(
+            jnp.asarray(data.geom_xpos[1]),
+            jnp.asarray(data.geom_xmat[1].reshape(3, 3)),
+            jnp.array([0.1, 0.2, 0.3]),
+            plane,
+        )
+        lowest = (
+            oracles.box_corners(np.array([0.1, 0.2, 0.3])) @ data.geom_xmat[1].reshape(3, 3).T
+            + data.geom_xpos[1]
+        )[:, 2].min() - 0.1
         assert float(box) == pytest.approx(lowest, abs=1e-6)
         ends = capsule_ends(data.qpos[:3], data.qpos[3:], 0.2)
         wanted = mujoco.mj_geomDistance(model, data, 0, 2, 5.0, None)
@@ -138,4 +153,6 @@ def test_gradient_of_a_distance_is_finite_where_it_is_zero():
 
 def test_quaternion_matrix_agrees_with_mujoco():
     quat = oracles.random_quat(np.random.default_rng(6))
-    np.testing.assert_allclose(dq.quat_matrix(jnp.asarray(quat, jnp.float32)), matrix(quat), atol=1e-6)
+    np.testing.assert_allclose(
+        dq.quat_matrix(jnp.asarray(quat, jnp.float32)), matrix(quat), atol=1e-6
+    )

@@ -16,8 +16,11 @@ def random_transform(rng):
 
 
 def to_dual(t):
-    return jnp.asarray(dq.from_parts(jnp.asarray(t.translation),
-                                     jnp.asarray(t.rotation.as_quat(scalar_first=True))))
+    return jnp.asarray(
+        dq.from_parts(
+            jnp.asarray(t.translation), jnp.asarray(t.rotation.as_quat(scalar_first=True))
+        )
+    )
 
 
 @pytest.fixture(autouse=True)
@@ -32,7 +35,9 @@ def test_product_inverse_and_action_agree_with_scipy():
         a, b, p = random_transform(rng), random_transform(rng), rng.normal(size=3)
         ab = dq.mul(to_dual(a), to_dual(b))
         np.testing.assert_allclose(dq.to_matrix(ab), (a * b).as_matrix(), atol=1e-12)
-        np.testing.assert_allclose(dq.to_matrix(dq.conj(to_dual(a))), a.inv().as_matrix(), atol=1e-12)
+        np.testing.assert_allclose(
+            dq.to_matrix(dq.conj(to_dual(a))), a.inv().as_matrix(), atol=1e-12
+        )
         np.testing.assert_allclose(dq.act(to_dual(a), jnp.asarray(p)), a.apply(p), atol=1e-12)
 
 
@@ -58,10 +63,13 @@ def test_gradients_are_finite_at_the_identity():
 def test_sclerp_meets_its_ends_and_does_not_depend_on_the_frame():
     rng = np.random.default_rng(2)
     a, b, g = (to_dual(random_transform(rng)) for _ in range(3))
-    np.testing.assert_allclose(dq.to_matrix(dq.sclerp(a, b, jnp.array(1.0))), dq.to_matrix(b), atol=1e-9)
+    np.testing.assert_allclose(
+        dq.to_matrix(dq.sclerp(a, b, jnp.array(1.0))), dq.to_matrix(b), atol=1e-9
+    )
     moved = dq.sclerp(dq.mul(g, a), dq.mul(g, b), jnp.array(0.3))
-    np.testing.assert_allclose(dq.to_matrix(moved),
-                               dq.to_matrix(dq.mul(g, dq.sclerp(a, b, jnp.array(0.3)))), atol=1e-9)
+    np.testing.assert_allclose(
+        dq.to_matrix(moved), dq.to_matrix(dq.mul(g, dq.sclerp(a, b, jnp.array(0.3)))), atol=1e-9
+    )
 
 
 def test_float32_keeps_five_digits():

@@ -16,8 +16,15 @@ from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.kinematics import tool_pose
 from hybrid_jax.workcell.layout import home_qpos
 
-CONFIG = MapConfig(lower=(0.1, -0.4, 0.1), upper=(0.7, 0.4, 0.5), spacing=0.2, tilts=(0.0, 0.6),
-                   yaws=(0.0, 0.75), ik=IkConfig(seeds=4, iterations=30), chunk=256)
+CONFIG = MapConfig(
+    lower=(0.1, -0.4, 0.1),
+    upper=(0.7, 0.4, 0.5),
+    spacing=0.2,
+    tilts=(0.0, 0.6),
+    yaws=(0.0, 0.75),
+    ik=IkConfig(seeds=4, iterations=30),
+    chunk=256,
+)
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +89,9 @@ def test_query_and_nearest_feasible(fmap):
     value, q = feasibility.query(fmap, pose)
     assert float(value) == pytest.approx(float(fmap.feasibility[i, j, k, r]), abs=1e-5)
     np.testing.assert_allclose(q, fmap.configuration[i, j, k, r])
-    np.testing.assert_allclose(dq.position(feasibility.nearest_feasible(fmap, pose)), point, atol=1e-5)
+    np.testing.assert_allclose(
+        dq.position(feasibility.nearest_feasible(fmap, pose)), point, atol=1e-5
+    )
 
 
 def test_a_map_of_another_cell_is_refused(cell, fmap, tmp_path):

@@ -13,11 +13,15 @@ from hybrid_jax.kernels.kinematics import tool_pose
 from hybrid_jax.kernels.rays import RAY_RANGE, fibonacci_directions, ray_box, ray_capsule, sense
 
 
-@pytest.mark.parametrize("kind, size", [("sphere", (0.2,)), ("capsule", (0.1, 0.3)),
-                                        ("box", (0.1, 0.2, 0.3))])
+@pytest.mark.parametrize(
+    "kind, size", [("sphere", (0.2,)), ("capsule", (0.1, 0.3)), ("box", (0.1, 0.2, 0.3))]
+)
 def test_single_rays(kind, size):
-    model = mujoco.MjModel.from_xml_string(oracles.WORLD.format(
-        f'<body><freejoint/><geom type="{kind}" size="{" ".join(map(str, size))}"/></body>'))
+    model = mujoco.MjModel.from_xml_string(
+        oracles.WORLD.format(
+            f'<body><freejoint/><geom type="{kind}" size="{" ".join(map(str, size))}"/></body>'
+        )
+    )
     data, rng, hits = mujoco.MjData(model), np.random.default_rng(0), 0
     half = size[1] if kind == "capsule" else 0.0
     ball = jax.jit(ray_capsule)
@@ -27,7 +31,9 @@ def test_single_rays(kind, size):
         mujoco.mj_kinematics(model, data)
         origin, direction = rng.uniform(-0.4, 0.4, 3), rng.normal(size=3)
         direction /= np.linalg.norm(direction)
-        wanted = mujoco.mj_ray(model, data, origin, direction, None, 1, -1, np.zeros(1, np.int32), None)
+        wanted = mujoco.mj_ray(
+            model, data, origin, direction, None, 1, -1, np.zeros(1, np.int32), None
+        )
         o, d = jnp.asarray(origin, jnp.float32), jnp.asarray(direction, jnp.float32)
         if kind == "box":
             pose = jnp.asarray(np.concatenate([data.qpos[:3], data.qpos[3:]]), jnp.float32)
@@ -60,8 +66,17 @@ def test_sensor_of_the_cell(cell, configurations):
             got = np.asarray(sense(cell, pose))
             turn = np.asarray(dq.quat_matrix(pose[:4]), float)
             for direction, length in zip(fibonacci_directions(25) @ turn.T, got, strict=True):
-                wanted = mujoco.mj_ray(model, data, np.asarray(dq.position(pose), float), direction,
-                                       groups, 1, -1, np.zeros(1, np.int32), None)
+                wanted = mujoco.mj_ray(
+                    model,
+                    data,
+                    np.asarray(dq.position(pose), float),
+                    direction,
+                    groups,
+                    1,
+                    -1,
+                    np.zeros(1, np.int32),
+                    None,
+                )
                 wanted = RAY_RANGE if wanted < 0 else min(wanted, RAY_RANGE)
                 assert length == pytest.approx(wanted, abs=5e-4)
     finally:

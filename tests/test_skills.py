@@ -12,7 +12,12 @@ from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.planner.loading import read_library
 from hybrid_jax.skills import mapping
 from hybrid_jax.skills.library import (
-    MAX_KEY_POSES, SkillConfig, map_segment, pad_task, segment_costs, without,
+    MAX_KEY_POSES,
+    SkillConfig,
+    map_segment,
+    pad_task,
+    segment_costs,
+    without,
 )
 from hybrid_jax.skills.segmentation import missing_skills, optimal_plan
 from hybrid_jax.skills.task import random_task
@@ -30,8 +35,12 @@ def costs(library):
 
 
 def random_pose(rng, spread=0.5, turn=1.0):
-    return dq.exp(jnp.asarray(np.concatenate([rng.normal(scale=spread, size=3),
-                                              rng.normal(scale=turn, size=3)]), jnp.float32))
+    return dq.exp(
+        jnp.asarray(
+            np.concatenate([rng.normal(scale=spread, size=3), rng.normal(scale=turn, size=3)]),
+            jnp.float32,
+        )
+    )
 
 
 def same(a, b, atol=2e-5):
@@ -69,7 +78,9 @@ def test_literal_map_enforces_the_feature(library):
 def test_beta_is_symmetric_invariant_and_in_metres():
     rng = np.random.default_rng(3)
     a, b, g = (random_pose(rng, 0.1, 0.3) for _ in range(3))
-    assert mapping.beta(dq.mul(g, a), dq.mul(g, b)) == pytest.approx(float(mapping.beta(a, b)), abs=1e-5)
+    assert mapping.beta(dq.mul(g, a), dq.mul(g, b)) == pytest.approx(
+        float(mapping.beta(a, b)), abs=1e-5
+    )
     assert mapping.beta(a, b) == pytest.approx(float(mapping.beta(b, -a)), abs=1e-5)
     shifted = dq.mul(a, dq.from_parts(jnp.array([0.2, 0, 0]), jnp.array([1.0, 0, 0, 0])))
     assert mapping.beta(a, shifted) == pytest.approx(0.2, abs=1e-5)
@@ -103,7 +114,9 @@ def test_unit_segment_cost_is_the_distance_of_start_to_goal_features(cell, libra
     demo, task = library.poses[skill], jnp.asarray(poses)
     wanted = mapping.beta(dq.mul(dq.conj(demo[0]), demo[-1]), dq.mul(dq.conj(task[1]), task[2]))
     assert found.nearest[1, 2, skill] == pytest.approx(float(wanted), abs=1e-5)
-    assert np.isinf(np.asarray(found.cost)[0, 1, skill]), "the gripper is open on the way to the grasp"
+    assert np.isinf(np.asarray(found.cost)[0, 1, skill]), (
+        "the gripper is open on the way to the grasp"
+    )
     assert np.isinf(np.asarray(found.cost)[count:]).all()
 
 

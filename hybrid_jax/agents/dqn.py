@@ -95,8 +95,9 @@ def observe(key_poses: Array, count: Array, at: Array) -> Float[Array, "97"]:
     index = jnp.arange(MAX_KEY_POSES)
     real = (index < count).astype(jnp.float32)
     seen = jax.vmap(_pose_features)(relative) * real[:, None]
-    return jnp.concatenate([_pose_features(tool), seen.reshape(-1),
-                            (index == at).astype(jnp.float32), real])
+    return jnp.concatenate(
+        [_pose_features(tool), seen.reshape(-1), (index == at).astype(jnp.float32), real]
+    )
 
 
 def _segment_input(key_poses: Array, at: Array, to: Array) -> Array:
@@ -146,20 +147,28 @@ def _act(nets, config: DqnConfig, tasks: TaskBatch, state: DqnState, key: Array)
     key_end, key_skill, key_task = jax.random.split(key, 3)
     done_steps = state.iteration * config.envs
     epsilon = config.epsilon_end + (config.epsilon_start - config.epsilon_end) * jnp.exp(
-        -done_steps / config.epsilon_decay)
+        -done_steps / config.epsilon_decay
+    )
 
     def one(task, at, key_end, key_skill):
         poses, count, cost = tasks.key_poses[task], tasks.count[task], tasks.cost[task]
         mask = segment_mask(cost, at)
         to = _explore(key_end, values(nets, state.params, poses, count, at), mask, epsilon)
         skills = jnp.isfinite(cost[at, to])
-        skill = _explore(key_skill, skill_values(nets, state.params, poses, count, at, to), skills,
-                         epsilon)
+        skill = _explore(
+            key_skill, skill_values(nets, state.params, poses, count, at, to), skills, epsilon
+        )
         stuck = ~jnp.any(mask)
         reward = jnp.where(stuck, -FAILURE, -cost[at, to, skill])
         done = stuck | (to == count - 1)
-        return {"task": task, "at": at, "to": to, "skill": skill, "reward": reward,
-                "done": done.astype(jnp.float32)}
+        return {
+            "task": task,
+            "at": at,
+            "to": to,
+            "skill": skill,
+            "reward": reward,
+            "done": done.astype(jnp.float32),
+        }
 
     split = jax.vmap(jax.random.split, (0, None))
     keys = split(jnp.stack([key_end, key_skill]), config.envs)
@@ -177,8 +186,11 @@ def _loss(params, nets, config: DqnConfig, tasks: TaskBatch, target, batch):
     """Huber losses of both controllers."""
 
     def one(r):
-        poses, count, cost = (tasks.key_poses[r["task"]], tasks.count[r["task"]],
-                              tasks.cost[r["task"]])
+        poses, count, cost = (
+            tasks.key_poses[r["task"]],
+            tasks.count[r["task"]],
+            tasks.cost[r["task"]],
+        )
         later = _masked(values(nets, target, poses, count, r["to"]), segment_mask(cost, r["to"]))
         best = jnp.where(jnp.any(jnp.isfinite(later)), jnp.max(later), -FAILURE)
         wanted = r["reward"] + config.discount * (1 - r["done"]) * best
@@ -205,12 +217,23 @@ def initialize(tasks: TaskBatch, config: DqnConfig) -> DqnState:
     """Fresh networks, empty replay."""
     nets = controllers(config)
     key_task, key_motion, key_buffer, key_start, key = jax.random.split(
-        jax.random.PRNGKey(config.seed), 5)
-    params = {"task": nets[0].init(key_task, jnp.zeros(_STATE)),
-              "motion": nets[1].init(key_motion, jnp.zeros(_STATE + _SEGMENT))}
+        jax.random.PRNGKey(config.seed), 5
+    )
+    params = {
+        "task": nets[0].init(key_task, jnp.zeros(_STATE)),
+        "motion": nets[1].init(key_motion, jnp.zeros(_STATE + _SEGMENT)),
+    }
     start = jax.random.randint(key_start, (config.envs,), 0, tasks.count.size)
-    return DqnState(params, params, _optimizer(config).init(params), _buffer(config).init(key_buffer),
-                    start, jnp.zeros(config.envs, int), key, jnp.zeros((), jnp.int32))
+    return DqnState(
+        params,
+        params,
+        _optimizer(config).init(params),
+        _buffer(config).init(key_buffer),
+        start,
+        jnp.zeros(config.envs, int),
+        key,
+        jnp.zeros((), jnp.int32),
+    )
 
 
 def _iterate(nets, config: DqnConfig, tasks: TaskBatch, state: DqnState, _):
@@ -221,17 +244,32 @@ def _iterate(nets, config: DqnConfig, tasks: TaskBatch, state: DqnState, _):
     stored = buffer.insert(state.buffer, record)
     stored, batch = buffer.sample(stored)
     grads, (task_loss, motion_loss) = jax.grad(_loss, has_aux=True)(
-        state.params, nets, config, tasks, state.target, batch)
+        state.params, nets, config, tasks, state.target, batch
+    )
     changes, opt = _optimizer(config).update(grads, state.optimizer, state.params)
     ready = (state.iteration + 1) * config.envs >= config.batch
-    params = jax.tree.map(lambda old, new: jnp.where(ready, new, old), state.params,
-                          optax.apply_updates(state.params, changes))
+    params = jax.tree.map(
+        lambda old, new: jnp.where(ready, new, old),
+        state.params,
+        optax.apply_updates(state.params, changes),
+    )
     target = optax.incremental_update(params, state.target, config.polyak)
     opt = jax.tree.map(lambda old, new: jnp.where(ready, new, old), state.optimizer, opt)
-    metrics = {"task_loss": task_loss, "motion_loss": motion_loss,
-               "reward": jnp.mean(record["reward"])}
-    return state.replace(params=params, target=target, optimizer=opt, buffer=stored, task=task, at=at,
-                         key=key, iteration=state.iteration + 1), metrics
+    metrics = {
+        "task_loss": task_loss,
+        "motion_loss": motion_loss,
+        "reward": jnp.mean(record["reward"]),
+    }
+    return state.replace(
+        params=params,
+        target=target,
+        optimizer=opt,
+        buffer=stored,
+        task=task,
+        at=at,
+        key=key,
+        iteration=state.iteration + 1,
+    ), metrics
 
 
 def make_trainer(tasks: TaskBatch, config: DqnConfig, chunk: int):
@@ -252,13 +290,15 @@ def greedy_plans(config: DqnConfig, params, tasks: TaskBatch) -> tuple[Array, Ar
             allowed = jnp.isfinite(cost[at, to])
             skill = jnp.argmax(_masked(skill_values(nets, params, poses, count, at, to), allowed))
             active = at < count - 1
-            total = jnp.where(active, total + jnp.where(jnp.any(mask), cost[at, to, skill], jnp.inf),
-                              total)
+            total = jnp.where(
+                active, total + jnp.where(jnp.any(mask), cost[at, to, skill], jnp.inf), total
+            )
             record = jnp.where(active & jnp.any(mask), jnp.stack([at, to, skill]), -1)
             return (jnp.where(active & jnp.any(mask), to, at), total), record
 
-        (at, total), records = jax.lax.scan(option, (jnp.zeros((), int), jnp.float32(0.0)),
-                                            length=MAX_KEY_POSES - 1)
+        (at, total), records = jax.lax.scan(
+            option, (jnp.zeros((), int), jnp.float32(0.0)), length=MAX_KEY_POSES - 1
+        )
         return records, jnp.where(at == count - 1, total, jnp.inf)
 
     return jax.vmap(one)(tasks.key_poses, tasks.count, tasks.cost)
@@ -269,8 +309,9 @@ def make_chooser(config: DqnConfig, params):
     run = jax.jit(functools.partial(greedy_plans, config))
 
     def choose(key_poses: np.ndarray, count: int, costs: SegmentCosts) -> Plan:
-        one = TaskBatch(jnp.asarray(key_poses)[None], jnp.asarray(count)[None],
-                        jnp.asarray(costs.cost)[None])
+        one = TaskBatch(
+            jnp.asarray(key_poses)[None], jnp.asarray(count)[None], jnp.asarray(costs.cost)[None]
+        )
         records, total = jax.device_get(run(params, one))
         if not np.isfinite(total[0]):
             return []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Proximal policy optimisation, continuous and categorical, from brax's parts.
+"""Proximal policy optimisation, continuous and categorical, on brax's networks and distributions.
 
 Rollout and update are two compiled programs with a short host loop around them: on a CPU that is
 several times faster than one program, and the loop can report, stop and save.
@@ -18,7 +18,6 @@ import optax
 from brax.envs.base import Env
 from brax.training import distribution, networks
 from brax.training.acme import running_statistics, specs
-from brax.training.agents.ppo.losses import compute_gae
 from jax import Array
 
 from hybrid_jax.errors import TrainingError
@@ -57,8 +56,9 @@ class PpoConfig:
         if not 0 <= self.discount <= 1:
             raise ValueError(f"discount must lie in [0, 1], got {self.discount}")
         if (self.envs * self.unroll) % self.minibatch:
-            raise ValueError(f"minibatch {self.minibatch} must divide envs * unroll = "
-                             f"{self.envs * self.unroll}")
+            raise ValueError(
+                f"minibatch {self.minibatch} must divide envs * unroll = {self.envs * self.unroll}"
+            )
 
     @property
     def iterations(self) -> int:
@@ -127,14 +127,21 @@ class PpoState:
     iteration: Array
 
 
-def make_networks(observations: int, actions: int, hidden: tuple[int, ...],
-                  discrete: bool) -> ActorCritic:
+def make_networks(
+    observations: int, actions: int, hidden: tuple[int, ...], discrete: bool
+) -> ActorCritic:
     """Actor and critic on normalised observations."""
     kind = Categorical(actions) if discrete else distribution.NormalTanhDistribution(actions)
-    shared = dict(preprocess_observations_fn=running_statistics.normalize,
-                  hidden_layer_sizes=hidden, activation=jax.nn.swish)
-    return ActorCritic(networks.make_policy_network(kind.param_size, observations, **shared),
-                       networks.make_value_network(observations, **shared), kind)
+    shared = dict(
+        preprocess_observations_fn=running_statistics.normalize,
+        hidden_layer_sizes=hidden,
+        activation=jax.nn.swish,
+    )
+    return ActorCritic(
+        networks.make_policy_network(kind.param_size, observations, **shared),
+        networks.make_value_network(observations, **shared),
+        kind,
+    )
 
 
 def blank_policy(net: ActorCritic, observations: int) -> Policy:
@@ -150,8 +157,9 @@ def act(net: ActorCritic, policy: Policy, obs: Array, key: Array | None) -> Arra
 
 
 def _optimizer(config: PpoConfig):
-    return optax.chain(optax.clip_by_global_norm(config.max_grad_norm),
-                       optax.adam(config.learning_rate, eps=1e-5))
+    return optax.chain(
+        optax.clip_by_global_norm(config.max_grad_norm), optax.adam(config.learning_rate, eps=1e-5)
+    )
 
 
 def initialize(env: Env, net: ActorCritic, config: PpoConfig) -> PpoState:
@@ -160,8 +168,15 @@ def initialize(env: Env, net: ActorCritic, config: PpoConfig) -> PpoState:
     params = {"policy": net.policy.init(key_policy), "value": net.value.init(key_value)}
     normalizer = running_statistics.init_state(specs.Array((env.observation_size,), jnp.float32))
     states = jax.jit(jax.vmap(env.reset))(jax.random.split(key_env, config.envs))
-    return PpoState(params["policy"], params["value"], _optimizer(config).init(params), normalizer,
-                    states, key, jnp.zeros((), jnp.int32))
+    return PpoState(
+        params["policy"],
+        params["value"],
+        _optimizer(config).init(params),
+        normalizer,
+        states,
+        key,
+        jnp.zeros((), jnp.int32),
+    )
 
 
 def _rollout(env: Env, net: ActorCritic, config: PpoConfig, state: PpoState, key: Array):
@@ -176,13 +191,46 @@ def _rollout(env: Env, net: ActorCritic, config: PpoConfig, state: PpoState, key
         fresh = jax.vmap(env.reset)(jax.random.split(key_reset, config.envs))
         done = after.done
         carry = jax.tree.map(
-            lambda a, b: jnp.where(done.reshape(-1, *[1] * (a.ndim - 1)) > 0, b, a), after, fresh)
-        data = {"obs": before.obs, "action": raw, "log_prob": net.actions.log_prob(logits, raw),
-                "reward": after.reward, "done": done, "truncation": after.info["truncation"],
-                "success": after.metrics["success"]}
+            lambda a, b: jnp.where(done.reshape(-1, *[1] * (a.ndim - 1)) > 0, b, a), after, fresh
+        )
+        data = {
+            "obs": before.obs,
+            "next_obs": after.obs,
+            "action": raw,
+            "log_prob": net.actions.log_prob(logits, raw),
+            "reward": after.reward,
+            "done": done,
+            "truncation": after.info["truncation"],
+            "success": after.metrics["success"],
+        }
         return carry, data
 
     return jax.lax.scan(step, state.env, jax.random.split(key, config.unroll))
+
+
+def advantages(
+    reward: Array,
+    value: Array,
+    next_value: Array,
+    terminated: Array,
+    done: Array,
+    discount: float,
+    gae_lambda: float,
+) -> Array:
+    """Generalised advantages `[time, env]` (Schulman et al., arXiv:1506.02438).
+
+    An episode that a time limit cut (`done` but not `terminated`) goes on from the value of its
+    final observation. (brax's version instead takes such steps out: then nothing holds the value
+    of the last states, and on short horizons it drifts off.)
+    """
+    surprise = reward + discount * (1 - terminated) * next_value - value
+
+    def back(ahead, step):
+        delta, ended = step
+        ahead = delta + discount * gae_lambda * (1 - ended) * ahead
+        return ahead, ahead
+
+    return jax.lax.scan(back, jnp.zeros_like(reward[0]), (surprise, done), reverse=True)[1]
 
 
 def _loss(params, net: ActorCritic, normalizer, batch, config: PpoConfig, key):
@@ -204,14 +252,20 @@ def _loss(params, net: ActorCritic, normalizer, batch, config: PpoConfig, key):
 def _update(net: ActorCritic, config: PpoConfig, state: PpoState, env_state, data, key: Array):
     """Passes of minibatch gradient steps over one rollout."""
     normalizer = running_statistics.update(state.normalizer, data["obs"])
-    values = net.value.apply(state.normalizer, state.value, data["obs"])
-    last = net.value.apply(state.normalizer, state.value, env_state.obs)
-    target, advantage = compute_gae(
-        truncation=data["truncation"], termination=data["done"] * (1 - data["truncation"]),
-        rewards=data["reward"], values=values, bootstrap_value=last,
-        lambda_=config.gae_lambda, discount=config.discount)
+    values, later = (
+        net.value.apply(state.normalizer, state.value, data[k]) for k in ("obs", "next_obs")
+    )
+    advantage = advantages(
+        data["reward"],
+        values,
+        later,
+        data["done"] * (1 - data["truncation"]),
+        data["done"],
+        config.discount,
+        config.gae_lambda,
+    )
     samples = {k: data[k] for k in ("obs", "action", "log_prob")}
-    samples |= {"advantage": advantage, "target": target}
+    samples |= {"advantage": advantage, "target": values + advantage}
     count = config.envs * config.unroll
     samples = jax.tree.map(lambda a: a.reshape(count, *a.shape[2:]), samples)
     optimizer = _optimizer(config)
@@ -220,7 +274,9 @@ def _update(net: ActorCritic, config: PpoConfig, state: PpoState, env_state, dat
         params, opt = carry
         index, key = part
         batch = jax.tree.map(lambda a: a[index], samples)
-        grads, terms = jax.grad(_loss, has_aux=True)(params, net, state.normalizer, batch, config, key)
+        grads, terms = jax.grad(_loss, has_aux=True)(
+            params, net, state.normalizer, batch, config, key
+        )
         changes, opt = optimizer.update(grads, opt, params)
         return (optax.apply_updates(params, changes), opt), terms
 
@@ -238,12 +294,23 @@ def _update(net: ActorCritic, config: PpoConfig, state: PpoState, env_state, dat
         "success": jnp.sum(data["success"]) / finished,
         "return": jnp.sum(data["reward"]) / finished,
     }
-    return state.replace(policy=params["policy"], value=params["value"], optimizer=opt,
-                         normalizer=normalizer, env=env_state), metrics
+    return state.replace(
+        policy=params["policy"],
+        value=params["value"],
+        optimizer=opt,
+        normalizer=normalizer,
+        env=env_state,
+    ), metrics
 
 
-def train(env: Env, net: ActorCritic, config: PpoConfig, *, state: PpoState | None = None,
-          report: Callable[[int, PpoState, dict[str, float]], None] | None = None) -> PpoState:
+def train(
+    env: Env,
+    net: ActorCritic,
+    config: PpoConfig,
+    *,
+    state: PpoState | None = None,
+    report: Callable[[int, PpoState, dict[str, float]], None] | None = None,
+) -> PpoState:
     """Train until `config.steps`.
 
     Args:

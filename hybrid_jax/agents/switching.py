@@ -40,8 +40,14 @@ class SwitchConfig:
     scale: float = 0.1
     """Factor on the reward, to bring it to order one."""
     training: ppo.PpoConfig = ppo.PpoConfig(
-        steps=400_000, envs=64, unroll=50, minibatch=800, learning_rate=1e-3, discount=0.96,
-        hidden=(64, 64))
+        steps=400_000,
+        envs=64,
+        unroll=50,
+        minibatch=800,
+        learning_rate=1e-3,
+        discount=0.96,
+        hidden=(64, 64),
+    )
 
 
 @pytree
@@ -116,18 +122,25 @@ class SwitchEnv(Env):
         """Both motions from here on relative to the robot, their worth, and the last choice."""
         t = jnp.minimum(state.step, STEPS - 1)
         seen = jnp.minimum(t + jnp.arange(AHEAD + 1), STEPS - 1)
-        return jnp.concatenate([
-            state.q, (data.q[:, seen] - state.q).reshape(-1), data.manipulability[:, t],
-            data.collision[:, t], data.available[t][None],
-            jnp.stack([state.choice.astype(jnp.float32), state.step / STEPS])])
+        return jnp.concatenate(
+            [
+                state.q,
+                (data.q[:, seen] - state.q).reshape(-1),
+                data.manipulability[:, t],
+                data.collision[:, t],
+                data.available[t][None],
+                jnp.stack([state.choice.astype(jnp.float32), state.step / STEPS]),
+            ]
+        )
 
     def begin(self, index: Array) -> State:
         """Start a given problem; the robot stands at the beginning of the skill's motion."""
         data = self._problem(index)
         state = SwitchState(index, jnp.zeros((), int), data.q[0, 0], jnp.zeros((), int))
         zero = jnp.float32(0.0)
-        return State(state, self.observe(data, state), zero, zero, {"success": zero},
-                     {"truncation": zero})
+        return State(
+            state, self.observe(data, state), zero, zero, {"success": zero}, {"truncation": zero}
+        )
 
     def reset(self, rng: PRNGKeyArray) -> State:
         return self.begin(jax.random.randint(rng, (), 0, self.problems.available.shape[0]))
@@ -138,15 +151,22 @@ class SwitchEnv(Env):
         # the joint agent can only be chosen where it has a motion
         choice = jnp.where(data.available[world.step] > 0, action, 0)
         q = data.q[choice, world.step]
-        reward = (point_reward(data, self.config)[choice, world.step]
-                  + step_reward(world.q, q, self.config)
-                  - self.config.switch * (choice != world.choice))
+        reward = (
+            point_reward(data, self.config)[choice, world.step]
+            + step_reward(world.q, q, self.config)
+            - self.config.switch * (choice != world.choice)
+        )
         clean = data.collision[choice, world.step] == 0
         world = SwitchState(world.problem, world.step + 1, q, choice)
         done = world.step >= STEPS
-        return State(world, self.observe(data, world), self.config.scale * reward,
-                     done.astype(jnp.float32), {"success": (done & clean).astype(jnp.float32)},
-                     {"truncation": jnp.float32(0.0)})
+        return State(
+            world,
+            self.observe(data, world),
+            self.config.scale * reward,
+            done.astype(jnp.float32),
+            {"success": (done & clean).astype(jnp.float32)},
+            {"truncation": jnp.float32(0.0)},
+        )
 
 
 def optimal_switching(data: Combined, config: SwitchConfig) -> tuple[np.ndarray, float]:
@@ -156,8 +176,15 @@ def optimal_switching(data: Combined, config: SwitchConfig) -> tuple[np.ndarray,
     moves = np.asarray(step_reward(q[:, None, :-1], q[None, :, 1:], config))  # [from, to, step]
     moves = moves - config.switch * (1 - np.eye(2))[:, :, None]
     blocked = np.where(np.asarray(data.available) > 0, 0.0, -np.inf)
-    value = np.array([points[0, 0], -config.switch + points[1, 0] + blocked[0]
-                      + float(step_reward(q[0, 0], q[1, 0], config))])
+    value = np.array(
+        [
+            points[0, 0],
+            -config.switch
+            + points[1, 0]
+            + blocked[0]
+            + float(step_reward(q[0, 0], q[1, 0], config)),
+        ]
+    )
     back = np.zeros((STEPS, 2), int)
     for t in range(1, STEPS):
         total = value[:, None] + moves[:, :, t - 1]
@@ -172,12 +199,14 @@ def optimal_switching(data: Combined, config: SwitchConfig) -> tuple[np.ndarray,
 
 def make_net(joints: int, config: SwitchConfig) -> ppo.ActorCritic:
     """Networks of the agent for an arm."""
-    return ppo.make_networks(SwitchEnv.observation_length(joints), 2, config.training.hidden,
-                             discrete=True)
+    return ppo.make_networks(
+        SwitchEnv.observation_length(joints), 2, config.training.hidden, discrete=True
+    )
 
 
-def choose(net: ppo.ActorCritic, policy: ppo.Policy, problems: Combined,
-           config: SwitchConfig) -> tuple[Array, Array]:
+def choose(
+    net: ppo.ActorCritic, policy: ppo.Policy, problems: Combined, config: SwitchConfig
+) -> tuple[Array, Array]:
     """Choices `[problem, STEPS]` of the trained agent and their total rewards `[problem]`."""
     env = SwitchEnv(problems, config)
 

@@ -43,8 +43,10 @@ def robot_shapes(cell: Workcell, frames: Float[Array, "n 7"]) -> Shapes:
 def _box_frame(pose: Float[Array, "7"], ends) -> list:
     """End points of a capsule in the frame of a box, by components."""
     rotation = dq.quat_matrix(pose[3:])
-    return [[sum((end[j] - pose[j]) * rotation[j, i] for j in range(3)) for i in range(3)]
-            for end in ends]
+    return [
+        [sum((end[j] - pose[j]) * rotation[j, i] for j in range(3)) for i in range(3)]
+        for end in ends
+    ]
 
 
 def _capsule_box(ends, radius, pose, half):
@@ -53,8 +55,9 @@ def _capsule_box(ends, radius, pose, half):
 
 def _box_box(pose_a, half_a, pose_b, half_b):
     rot_a, rot_b = dq.quat_matrix(pose_a[3:]), dq.quat_matrix(pose_b[3:])
-    rotation = [[sum(rot_b[k, i] * rot_a[k, j] for k in range(3)) for j in range(3)]
-                for i in range(3)]
+    rotation = [
+        [sum(rot_b[k, i] * rot_a[k, j] for k in range(3)) for j in range(3)] for i in range(3)
+    ]
     centre = [sum((pose_a[j] - pose_b[j]) * rot_b[j, i] for j in range(3)) for i in range(3)]
     return distance.box_box(centre, rotation, half_a, half_b)
 
@@ -93,12 +96,20 @@ def _world_clearance(cell: Workcell, robot: Shapes) -> Float[Array, ""]:
     world_capsules = (world.capsule_ends, world.capsule_radius)
     world_boxes = (world.box_pose, world.box_half)
     tables = [
-        (distance.capsule_capsule, moving_capsules, world_capsules,
-         pairs.capsule_capsule * capsules * world.capsule_on),
+        (
+            distance.capsule_capsule,
+            moving_capsules,
+            world_capsules,
+            pairs.capsule_capsule * capsules * world.capsule_on,
+        ),
         (_capsule_box, moving_capsules, world_boxes, capsule_box),
         (distance.capsule_plane, moving_capsules, (cell.planes,), pairs.capsule_plane * capsules),
-        (lambda pose, half, ends, radius: _capsule_box(ends, radius, pose, half), moving_boxes,
-         world_capsules, pairs.box_capsule * boxes * world.capsule_on),
+        (
+            lambda pose, half, ends, radius: _capsule_box(ends, radius, pose, half),
+            moving_boxes,
+            world_capsules,
+            pairs.box_capsule * boxes * world.capsule_on,
+        ),
         (_box_box, moving_boxes, world_boxes, box_box),
         (_box_plane, moving_boxes, (cell.planes,), pairs.box_plane * boxes),
     ]
@@ -119,8 +130,9 @@ def _self_clearance(cell: Workcell, robot: Shapes) -> Float[Array, ""]:
         found.append(_masked_min(gaps, on[i] * on[j]))
     if pairs.self_boxes:
         i, j = jnp.array(pairs.self_boxes).T
-        gaps = jax.vmap(_capsule_box)(robot.capsule_ends[j], robot.capsule_radius[j],
-                                      robot.box_pose[i], robot.box_half[i])
+        gaps = jax.vmap(_capsule_box)(
+            robot.capsule_ends[j], robot.capsule_radius[j], robot.box_pose[i], robot.box_half[i]
+        )
         found.append(_masked_min(gaps, robot.box_on[i] * robot.capsule_on[j]))
     if pairs.self_box_boxes:
         i, j = jnp.array(pairs.self_box_boxes).T

@@ -114,7 +114,9 @@ def _segment_box_separation(ends: Float[Array, "2 3"], half: Float[Array, "3"]) 
     return best
 
 
-def capsule_box(ends: Float[Array, "2 3"], radius: Array, half: Float[Array, "3"]) -> Float[Array, ""]:
+def capsule_box(
+    ends: Float[Array, "2 3"], radius: Array, half: Float[Array, "3"]
+) -> Float[Array, ""]:
     """Signed distance of a capsule and a box of half extents `half`, in the box's frame."""
     gap = segment_box(ends, half)
     depth = jnp.minimum(_segment_box_separation(ends, half), 0.0)

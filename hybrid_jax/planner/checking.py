@@ -22,11 +22,16 @@ def limit_faults(cell: Workcell, trajectory: Trajectory, slack: float = 1.02) ->
     checks = [
         ("position", np.maximum(low - trajectory.positions, trajectory.positions - high) > 1e-4),
         ("velocity", np.abs(trajectory.velocities) > slack * np.asarray(cell.velocity_limits)),
-        ("acceleration",
-         np.abs(trajectory.accelerations) > slack * np.asarray(cell.chain.acceleration_limits)),
+        (
+            "acceleration",
+            np.abs(trajectory.accelerations) > slack * np.asarray(cell.chain.acceleration_limits),
+        ),
     ]
-    return [f"{kind} limit of {cell.joint_names[j]} broken at {trajectory.times[broken[:, j]][0]:.2f} s"
-            for kind, broken in checks for j in np.flatnonzero(broken.any(axis=0))]
+    return [
+        f"{kind} limit of {cell.joint_names[j]} broken at {trajectory.times[broken[:, j]][0]:.2f} s"
+        for kind, broken in checks
+        for j in np.flatnonzero(broken.any(axis=0))
+    ]
 
 
 def _robot_geoms(cell: Workcell) -> np.ndarray:
@@ -39,9 +44,15 @@ def _robot_geoms(cell: Workcell) -> np.ndarray:
     return moved[model.geom_bodyid]
 
 
-def engine_collision(cell: Workcell, q: np.ndarray, poses: np.ndarray, opening: float,
-                     held: str | None, held_in_tool: np.ndarray | None,
-                     support: tuple[str, ...]) -> str | None:
+def engine_collision(
+    cell: Workcell,
+    q: np.ndarray,
+    poses: np.ndarray,
+    opening: float,
+    held: str | None,
+    held_in_tool: np.ndarray | None,
+    support: tuple[str, ...],
+) -> str | None:
     """First collision that C MuJoCo finds along configurations, in words; None if there is none.
 
     Args:
@@ -80,8 +91,14 @@ def _hang(model, data, layout, index, held_in_tool) -> None:
     turn, address = np.empty(4), layout.object_qpos[index]
     mujoco.mju_mat2Quat(turn, data.site_xmat[layout.tool_site])
     quat, position = np.empty(4), np.empty(3)
-    mujoco.mju_mulPose(position, quat, data.site_xpos[layout.tool_site], turn,
-                       np.asarray(held_in_tool[:3], float), np.asarray(held_in_tool[3:], float))
+    mujoco.mju_mulPose(
+        position,
+        quat,
+        data.site_xpos[layout.tool_site],
+        turn,
+        np.asarray(held_in_tool[:3], float),
+        np.asarray(held_in_tool[3:], float),
+    )
     data.qpos[address : address + 7] = np.concatenate([position, quat])
     mujoco.mj_kinematics(model, data)
 
@@ -100,12 +117,27 @@ def _fault(model, contact, robot, held_body, support) -> str | None:
     return f"{model.geom(a).name} touches {model.geom(b).name}"
 
 
-def collision_faults(cell: Workcell, trajectory: Trajectory, task: Task, *, carrying: bool,
-                     opening: float, poses: np.ndarray, held_in_tool: np.ndarray) -> list[str]:
+def collision_faults(
+    cell: Workcell,
+    trajectory: Trajectory,
+    task: Task,
+    *,
+    carrying: bool,
+    opening: float,
+    poses: np.ndarray,
+    held_in_tool: np.ndarray,
+) -> list[str]:
     """Sentences about collisions of a phase: the kernels' verdict, then C MuJoCo's."""
     dense = densify(trajectory.positions, MAX_STEP)
     gap = path_clearance(cell, dense).min()
     faults = [f"clearance falls to {1e3 * gap:.1f} mm"] if gap < 0 else []
-    found = engine_collision(cell, dense, poses, opening, task.object_name if carrying else None,
-                             held_in_tool if carrying else None, task.support)
+    found = engine_collision(
+        cell,
+        dense,
+        poses,
+        opening,
+        task.object_name if carrying else None,
+        held_in_tool if carrying else None,
+        task.support,
+    )
     return faults + ([found] if found else [])

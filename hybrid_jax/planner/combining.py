@@ -27,15 +27,22 @@ def _grid(bridge: Bridge, drl: np.ndarray | None) -> tuple[np.ndarray, np.ndarra
     if drl is None:
         return np.linspace(0, n - 1, STEPS), np.full(STEPS, np.nan)
     first, last = bridge_ends(bridge)
-    lengths = [np.abs(np.diff(part, axis=0)).sum() if len(part) > 1 else 0.0
-               for part in (bridge.q[: first + 1], drl, bridge.q[last:])]
+    lengths = [
+        np.abs(np.diff(part, axis=0)).sum() if len(part) > 1 else 0.0
+        for part in (bridge.q[: first + 1], drl, bridge.q[last:])
+    ]
     share = np.array(lengths) + 1e-6
     inside = int(np.clip(round(STEPS * share[1] / share.sum()), 20, STEPS - 40))
-    before = int(np.clip(round((STEPS - inside) * share[0] / (share[0] + share[2])), 1,
-                         STEPS - inside - 1))
-    skill = np.concatenate([np.linspace(0, first, before, endpoint=False),
-                            np.linspace(first, last, inside, endpoint=False),
-                            np.linspace(last, n - 1, STEPS - before - inside)])
+    before = int(
+        np.clip(round((STEPS - inside) * share[0] / (share[0] + share[2])), 1, STEPS - inside - 1)
+    )
+    skill = np.concatenate(
+        [
+            np.linspace(0, first, before, endpoint=False),
+            np.linspace(first, last, inside, endpoint=False),
+            np.linspace(last, n - 1, STEPS - before - inside),
+        ]
+    )
     phase = np.full(STEPS, np.nan)
     phase[before : before + inside + 1] = np.linspace(0, 1, inside + 1)
     return skill, phase
@@ -53,7 +60,9 @@ def combine(cell: Workcell, bridge: Bridge, drl: np.ndarray | None, scale: float
     skill, phase = _grid(bridge, drl)
     points = np.arange(len(bridge.q))
     q_skill = np.stack([np.interp(skill, points, column) for column in bridge.q.T], axis=1)
-    bad = ~bridge.feasible[np.floor(skill).astype(int)] | ~bridge.feasible[np.ceil(skill).astype(int)]
+    bad = (
+        ~bridge.feasible[np.floor(skill).astype(int)] | ~bridge.feasible[np.ceil(skill).astype(int)]
+    )
     available = ~np.isnan(phase)
     q_drl = q_skill.copy()
     if drl is not None:
@@ -64,12 +73,17 @@ def combine(cell: Workcell, bridge: Bridge, drl: np.ndarray | None, scale: float
     q = np.stack([q_skill, q_drl]).astype(np.float32)
     man = np.asarray(_manipulability(cell, jnp.asarray(q.reshape(-1, q.shape[-1]))))
     collision = np.stack([bad.astype(np.float32), np.where(available, 0.0, 1.0)])
-    return Combined(jnp.asarray(q), jnp.asarray(np.clip(man / scale, 0, 1).reshape(2, STEPS)),
-                    jnp.asarray(collision, jnp.float32), jnp.asarray(available, jnp.float32))
+    return Combined(
+        jnp.asarray(q),
+        jnp.asarray(np.clip(man / scale, 0, 1).reshape(2, STEPS)),
+        jnp.asarray(collision, jnp.float32),
+        jnp.asarray(available, jnp.float32),
+    )
 
 
-def assemble(combined: Combined, choice: np.ndarray, bridge: Bridge,
-             drl: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+def assemble(
+    combined: Combined, choice: np.ndarray, bridge: Bridge, drl: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
     """The chosen joint path `[point, joint]` and the source of each point.
 
     Where the joint agent runs from one end of its motion to the other its own way points are
@@ -88,14 +102,19 @@ def assemble(combined: Combined, choice: np.ndarray, bridge: Bridge,
 
 def task_problems(planner, task: Task, key) -> list[Combined]:
     """traj_comb of every phase of a task whose infeasible part the joint agent bridges."""
-    return [combine(options.cell, bridge, drl, planner.scale)
-            for options, bridge, drl in _bridged(planner, task, key) if drl is not None]
+    return [
+        combine(options.cell, bridge, drl, planner.scale)
+        for options, bridge, drl in _bridged(planner, task, key)
+        if drl is not None
+    ]
 
 
 def skill_problems(planner, task: Task) -> list[Combined]:
     """The skill's own motion of every phase of a task, infeasible parts and all."""
-    return [combine(options.cell, bridge, None, planner.scale)
-            for options, bridge, _ in _bridged(planner, task, jax.random.key(0))]
+    return [
+        combine(options.cell, bridge, None, planner.scale)
+        for options, bridge, _ in _bridged(planner, task, jax.random.key(0))
+    ]
 
 
 def _bridged(planner, task: Task, key):
@@ -104,8 +123,9 @@ def _bridged(planner, task: Task, key):
     start = np.asarray(planner.cell.home)
     for phase, poses in enumerate(path.phases):
         key_ik, key_drl = jax.random.split(jax.random.fold_in(key, phase))
-        options = phase_options(planner.cell, task, phase, poses, start, planner.scale,
-                                planner.config.labels, key_ik)
+        options = phase_options(
+            planner.cell, task, phase, poses, start, planner.scale, planner.config.labels, key_ik
+        )
         if not options.bridges:
             return
         bridge = options.bridges[0]

@@ -28,18 +28,28 @@ def joint_agent_only(planner: pipeline.Planner, task: Task, *, key) -> pipeline.
         if high == len(task.carrying):
             goals = np.asarray(cell.home)[None]
         else:
-            found, free = end_branches(cell, jnp.asarray(task.key_poses[high]), jnp.asarray(start),
-                                       key=key_ik, config=planner.config.labels)
+            found, free = end_branches(
+                cell,
+                jnp.asarray(task.key_poses[high]),
+                jnp.asarray(start),
+                key=key_ik,
+                config=planner.config.labels,
+            )
             goals = np.asarray(found)[np.asarray(free)]
         if not len(goals):
             return pipeline.PlanResult(Status.TASK_INFEASIBLE, f"phase {phase}: no configuration")
         goal = goals[np.abs(goals - start).max(axis=1).argmin()]
         path = planner.bridge(cell.scene, start, goal, key_drl)
         if path is None:
-            return pipeline.PlanResult(Status.DRL_TIMEOUT,
-                                       f"phase {phase}: {Status.DRL_TIMEOUT.sentence}")
-        short = timing.shortcut(cell, timing.densify(path, planner.config.finishing.spacing),
-                                planner.config.labels.margin, planner.config.finishing)
+            return pipeline.PlanResult(
+                Status.DRL_TIMEOUT, f"phase {phase}: {Status.DRL_TIMEOUT.sentence}"
+            )
+        short = timing.shortcut(
+            cell,
+            timing.densify(path, planner.config.finishing.spacing),
+            planner.config.labels.margin,
+            planner.config.finishing,
+        )
         options = PhaseOptions(cell, task.key_poses[low : high + 1], [])
         trajectory = pipeline.finish(planner, options, short, np.ones(len(short), np.uint8))
         if trajectory is None:

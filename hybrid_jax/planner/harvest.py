@@ -52,8 +52,16 @@ def bridge_ends(bridge: Bridge) -> tuple[int, int]:
     return max(0, bridge.first - HANDOVER), min(len(bridge.q) - 1, bridge.last + HANDOVER)
 
 
-def phase_options(cell: Workcell, task: Task, phase: int, poses: np.ndarray, start: np.ndarray,
-                  scale: float, config: LabelConfig, key) -> PhaseOptions:
+def phase_options(
+    cell: Workcell,
+    task: Task,
+    phase: int,
+    poses: np.ndarray,
+    start: np.ndarray,
+    scale: float,
+    config: LabelConfig,
+    key,
+) -> PhaseOptions:
     """Ways through one phase from a configuration; the last phase ends at the cell's home."""
     low, high = task.phases[phase]
     carrying = task.carrying[low]
@@ -63,25 +71,36 @@ def phase_options(cell: Workcell, task: Task, phase: int, poses: np.ndarray, sta
     if last:
         ends = np.asarray(cell.home)[None]
     else:
-        found, free = end_branches(inside, jnp.asarray(poses[-1]), jnp.asarray(start), key=key,
-                                   config=config)
+        found, free = end_branches(
+            inside, jnp.asarray(poses[-1]), jnp.asarray(start), key=key, config=config
+        )
         ends = np.asarray(found)[np.asarray(free)]
     if not len(ends):
         return PhaseOptions(inside, poses, [])
     ends = ends[np.argsort(np.abs(ends - start).max(axis=1))][:BRANCHES]
     ends = np.concatenate([ends, ends[-1:].repeat(BRANCHES - len(ends), 0)])
-    return PhaseOptions(inside, poses, bridges(inside, poses, start, ends, scale, config,
-                                               exact_end=last))
+    return PhaseOptions(
+        inside, poses, bridges(inside, poses, start, ends, scale, config, exact_end=last)
+    )
 
 
-def task_segments(cell: Workcell, library: SkillLibrary, task: Task, choose: SkillChooser,
-                  skills: SkillConfig, labels: LabelConfig, scale: float, key) -> list[Segments]:
+def task_segments(
+    cell: Workcell,
+    library: SkillLibrary,
+    task: Task,
+    choose: SkillChooser,
+    skills: SkillConfig,
+    labels: LabelConfig,
+    scale: float,
+    key,
+) -> list[Segments]:
     """Infeasible segments of one task, phase after phase on the best branch."""
     path = skill_path(library, task, choose, skills)
     found, start = [], np.asarray(cell.home)
     for phase, poses in enumerate(path.phases):
-        options = phase_options(cell, task, phase, poses, start, scale, labels,
-                                jax.random.fold_in(key, phase))
+        options = phase_options(
+            cell, task, phase, poses, start, scale, labels, jax.random.fold_in(key, phase)
+        )
         if not options.bridges:
             break
         for bridge in options.bridges[:2]:
@@ -92,9 +111,18 @@ def task_segments(cell: Workcell, library: SkillLibrary, task: Task, choose: Ski
     return found
 
 
-def harvest(cell: Workcell, library: SkillLibrary, choose: SkillChooser, skills: SkillConfig,
-            labels: LabelConfig, scale: float, *, tasks: range, seed: int,
-            progress: Callable[[int, int], None] | None = None) -> Segments:
+def harvest(
+    cell: Workcell,
+    library: SkillLibrary,
+    choose: SkillChooser,
+    skills: SkillConfig,
+    labels: LabelConfig,
+    scale: float,
+    *,
+    tasks: range,
+    seed: int,
+    progress: Callable[[int, int], None] | None = None,
+) -> Segments:
     """Infeasible segments of random tasks.
 
     Args:
@@ -108,11 +136,15 @@ def harvest(cell: Workcell, library: SkillLibrary, choose: SkillChooser, skills:
     found: list[Segments] = []
     for done, number in enumerate(tasks, 1):
         key = jax.random.fold_in(jax.random.key(seed), number)
-        found += task_segments(cell, library, random_task(cell, number), choose, skills, labels,
-                               scale, key)
+        found += task_segments(
+            cell, library, random_task(cell, number), choose, skills, labels, scale, key
+        )
         if progress:
             progress(done, len(tasks))
     if not found:
         raise ValueError("no random task left an infeasible segment; the skills alone suffice")
-    return Segments(stack_scenes([s.scene for s in found]), jnp.stack([s.start for s in found]),
-                    jnp.stack([s.goal for s in found]))
+    return Segments(
+        stack_scenes([s.scene for s in found]),
+        jnp.stack([s.start for s in found]),
+        jnp.stack([s.goal for s in found]),
+    )

@@ -69,21 +69,36 @@ def _judge(cell: Workcell, q: Array, found: Array, scale: Array, config: LabelCo
     gap = jax.vmap(clearance, (None, 0))(cell, q)
     man = jax.vmap(manipulability, (None, 0))(cell, q)
     jump = jnp.max(jnp.abs(jnp.diff(q, axis=0, prepend=q[:1])), axis=-1)
-    return (found & (gap >= config.margin) & (man >= config.least_manipulability * scale)
-            & (jump <= config.max_jump))
+    return (
+        found
+        & (gap >= config.margin)
+        & (man >= config.least_manipulability * scale)
+        & (jump <= config.max_jump)
+    )
 
 
 @functools.partial(jax.jit, static_argnames="config")
-def follow(cell: Workcell, poses: Float[Array, "point 8"], start: Float[Array, "n"], scale: Array,
-           config: LabelConfig) -> LabelledPath:
+def follow(
+    cell: Workcell,
+    poses: Float[Array, "point 8"],
+    start: Float[Array, "n"],
+    scale: Array,
+    config: LabelConfig,
+) -> LabelledPath:
     """Joint path along the poses from a configuration, each point judged."""
     q, found = track_poses(cell, poses, start, config.tracking)
     return LabelledPath(q, _judge(cell, q, found, scale, config))
 
 
 @functools.partial(jax.jit, static_argnames="config")
-def end_branches(cell: Workcell, pose: Float[Array, "8"], reference: Float[Array, "n"], *, key,
-                 config: LabelConfig) -> tuple[Array, Array]:
+def end_branches(
+    cell: Workcell,
+    pose: Float[Array, "8"],
+    reference: Float[Array, "n"],
+    *,
+    key,
+    config: LabelConfig,
+) -> tuple[Array, Array]:
     """Solutions `[seed, joint]` of a pose and whether each is free of collision `[seed]`."""
     solved = solve_ik(cell, pose, reference, config.branches, key=key)
     gap = jax.vmap(clearance, (None, 0))(cell, solved.branches)
@@ -108,8 +123,9 @@ def _beginning(feasible: np.ndarray) -> int:
     return int(np.argmin(np.append(feasible, False)))
 
 
-def _join(ahead: np.ndarray, back: np.ndarray, prefix: int, last: int, good: np.ndarray,
-          max_jump: float) -> Bridge:
+def _join(
+    ahead: np.ndarray, back: np.ndarray, prefix: int, last: int, good: np.ndarray, max_jump: float
+) -> Bridge:
     """Beginning of one joint path and end of another as one, with the part between them marked.
 
     Args:
@@ -124,14 +140,24 @@ def _join(ahead: np.ndarray, back: np.ndarray, prefix: int, last: int, good: np.
         change = last - 1 + int(np.argmin(jumps)) if last else 0
         first, last = change, change + 1
         if jumps.min() <= max_jump:
-            return Bridge(np.concatenate([ahead[:last], back[last:]]), np.ones(n, bool), first, first)
+            return Bridge(
+                np.concatenate([ahead[:last], back[last:]]), np.ones(n, bool), first, first
+            )
     q = np.concatenate([ahead[:last], back[last:]])
     feasible = np.arange(n) <= first
     return Bridge(q, np.where(np.arange(n) >= last, good, feasible), first, last)
 
 
-def bridges(cell: Workcell, poses: np.ndarray, start: np.ndarray, ends: np.ndarray, scale: float,
-            config: LabelConfig, *, exact_end: bool = False) -> list[Bridge]:
+def bridges(
+    cell: Workcell,
+    poses: np.ndarray,
+    start: np.ndarray,
+    ends: np.ndarray,
+    scale: float,
+    config: LabelConfig,
+    *,
+    exact_end: bool = False,
+) -> list[Bridge]:
     """Ways to run through a phase, the least infeasible first; empty where none has both ends.
 
     Args:

@@ -9,7 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from hybrid_jax.skills.library import (
-    SegmentCosts, SkillConfig, SkillLibrary, map_segment, pad_task, segment_costs,
+    SegmentCosts,
+    SkillConfig,
+    SkillLibrary,
+    map_segment,
+    pad_task,
+    segment_costs,
 )
 from hybrid_jax.skills.segmentation import MissingSkill, Plan, missing_skills
 from hybrid_jax.skills.task import Task, object_in_tool, place_pose, require_handling
@@ -39,20 +44,26 @@ class SkillPath:
 _costs = jax.jit(segment_costs, static_argnames="config")
 
 
-def skill_path(library: SkillLibrary, task: Task, choose: SkillChooser,
-               config: SkillConfig) -> SkillPath:
+def skill_path(
+    library: SkillLibrary, task: Task, choose: SkillChooser, config: SkillConfig
+) -> SkillPath:
     """Choose skills for a task and map them; never uses an inadmissible skill."""
     poses, carrying, count = pad_task(task)
-    costs = jax.device_get(_costs(library, jnp.asarray(poses), jnp.asarray(carrying),
-                                  jnp.asarray(count), config=config))
+    costs = jax.device_get(
+        _costs(
+            library, jnp.asarray(poses), jnp.asarray(carrying), jnp.asarray(count), config=config
+        )
+    )
     plan = choose(poses, count, costs)
     if not plan:
         missing = missing_skills(costs.cost, costs.nearest, count, library.names, config.tolerance)
         return SkillPath([], missing, [])
     segments = {a: map_segment(library, poses, a, b, k, config, POINTS) for a, b, k in plan}
     starts = sorted(segments)
-    phases = [np.concatenate([segments[a] for a in starts if low <= a < high])
-              for low, high in task.phases]
+    phases = [
+        np.concatenate([segments[a] for a in starts if low <= a < high])
+        for low, high in task.phases
+    ]
     return SkillPath(plan, [], phases)
 
 

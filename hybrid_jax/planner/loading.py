@@ -35,8 +35,9 @@ def read_scale(run: Run) -> float:
     return float(load_map(run.path("map.npz"), run.cell).manipulability_scale)
 
 
-def load_policy(run: Run, name: str, kind: str, net: ppo.ActorCritic,
-                observations: int) -> ppo.Policy:
+def load_policy(
+    run: Run, name: str, kind: str, net: ppo.ActorCritic, observations: int
+) -> ppo.Policy:
     """A trained policy of the run."""
     _, state = run.load(name, kind)
     template = ppo.blank_policy(net, observations)
@@ -52,8 +53,9 @@ def learned_switcher(run: Run) -> Switcher:
     """The trained switching agent (a `Switcher`)."""
     config, joints = run.preset.switch, run.cell.home.size
     net = switching.make_net(joints, config)
-    policy = load_policy(run, "switch.npz", "switching agent", net,
-                         switching.SwitchEnv.observation_length(joints))
+    policy = load_policy(
+        run, "switch.npz", "switching agent", net, switching.SwitchEnv.observation_length(joints)
+    )
     choose = jax.jit(functools.partial(switching.choose, net, config=config))
 
     def switch(combined):
@@ -71,17 +73,24 @@ def load_planner(run: Run, *, switch: str = "learned") -> Planner:
     """
     for stage in ("map", "lfd", "drl") + (("switch",) if switch == "learned" else ()):
         if not run.finished(stage):
-            raise RunFolderError(f"{run.folder} lacks the stage {stage!r} ({stage}.npz is missing); "
-                                 f"finish it with: python -m hybrid_jax.train --resume --out "
-                                 f"{run.folder}")
+            raise RunFolderError(
+                f"{run.folder} lacks the stage {stage!r} ({stage}.npz is missing); "
+                f"finish it with: python -m hybrid_jax.train --resume --out "
+                f"{run.folder}"
+            )
     preset, cell = run.preset, run.cell
     _, state = run.load("lfd.npz", "hierarchical DQN")
     params = jax.tree.map(jnp.asarray, state)
     net = joint.make_net(cell, preset.joint)
-    policy = load_policy(run, "drl.npz", "joint agent", net,
-                         ReachEnv.observation_length(cell.home.size))
+    policy = load_policy(
+        run, "drl.npz", "joint agent", net, ReachEnv.observation_length(cell.home.size)
+    )
     return Planner(
-        cell=cell, library=read_library(cell), choose=dqn.make_chooser(preset.dqn, params),
+        cell=cell,
+        library=read_library(cell),
+        choose=dqn.make_chooser(preset.dqn, params),
         bridge=joint.make_bridger(cell, net, policy, preset.joint),
         switch=learned_switcher(run) if switch == "learned" else optimal_switcher(preset.switch),
-        scale=read_scale(run), config=preset.planner)
+        scale=read_scale(run),
+        config=preset.planner,
+    )

@@ -85,8 +85,9 @@ def plan_motion(planner: Planner, task: Task, *, key: Array) -> PlanResult:
     names = [planner.library.names[k] for _, _, k in path.plan]
     phases, start = [], np.asarray(planner.cell.home)
     for phase in range(len(path.phases)):
-        status, detail, trajectory = _plan_phase(planner, task, path, phase, start,
-                                                 jax.random.fold_in(key, phase))
+        status, detail, trajectory = _plan_phase(
+            planner, task, path, phase, start, jax.random.fold_in(key, phase)
+        )
         if status is not Status.OK:
             return PlanResult(status, f"phase {phase}: {detail}", skills=names)
         phases.append(trajectory)
@@ -94,13 +95,22 @@ def plan_motion(planner: Planner, task: Task, *, key: Array) -> PlanResult:
     return PlanResult(Status.OK, Status.OK.sentence, phases, names)
 
 
-def _plan_phase(planner: Planner, task: Task, path: SkillPath, phase: int, start: np.ndarray,
-                key: Array) -> tuple[Status, str, Trajectory | None]:
+def _plan_phase(
+    planner: Planner, task: Task, path: SkillPath, phase: int, start: np.ndarray, key: Array
+) -> tuple[Status, str, Trajectory | None]:
     """One phase between gripper events: status, sentence, trajectory."""
     key_ik, key_drl = jax.random.split(key)
     # Alg. 1, l. 31-33: inverse kinematics; which segments are feasible (FJ) and which are not
-    options = phase_options(planner.cell, task, phase, path.phases[phase], start, planner.scale,
-                            planner.config.labels, key_ik)
+    options = phase_options(
+        planner.cell,
+        task,
+        phase,
+        path.phases[phase],
+        start,
+        planner.scale,
+        planner.config.labels,
+        key_ik,
+    )
     if not options.bridges:
         return Status.TASK_INFEASIBLE, "no collision-free configuration at one of its ends", None
     status, detail = Status.DRL_TIMEOUT, Status.DRL_TIMEOUT.sentence
@@ -123,8 +133,9 @@ def _plan_phase(planner: Planner, task: Task, path: SkillPath, phase: int, start
     return status, detail, None
 
 
-def _joint_motion(planner: Planner, options: PhaseOptions, bridge: Bridge,
-                  key: Array) -> np.ndarray | None:
+def _joint_motion(
+    planner: Planner, options: PhaseOptions, bridge: Bridge, key: Array
+) -> np.ndarray | None:
     """Way points of the joint agent over the infeasible part; None if there is none to make."""
     if bridge.first == bridge.last or planner.bridge is None:
         return None
@@ -133,12 +144,17 @@ def _joint_motion(planner: Planner, options: PhaseOptions, bridge: Bridge,
     if drl is None:
         return None
     config = planner.config
-    return timing.shortcut(options.cell, timing.densify(drl, config.finishing.spacing),
-                           config.labels.margin, config.finishing)
+    return timing.shortcut(
+        options.cell,
+        timing.densify(drl, config.finishing.spacing),
+        config.labels.margin,
+        config.finishing,
+    )
 
 
-def finish(planner: Planner, options: PhaseOptions, q: np.ndarray,
-            sources: np.ndarray) -> Trajectory | None:
+def finish(
+    planner: Planner, options: PhaseOptions, q: np.ndarray, sources: np.ndarray
+) -> Trajectory | None:
     """Smooth and time a path."""
     config = planner.config.finishing
     even = timing.smooth(options.cell, q, config)
@@ -148,8 +164,9 @@ def finish(planner: Planner, options: PhaseOptions, q: np.ndarray,
     return timing.time_parameterize(options.cell, even, sources[nearest], config)
 
 
-def find_faults(planner: Planner, task: Task, phase: int, options: PhaseOptions,
-            trajectory: Trajectory) -> list[str]:
+def find_faults(
+    planner: Planner, task: Task, phase: int, options: PhaseOptions, trajectory: Trajectory
+) -> list[str]:
     """What the final check finds wrong."""
     data = require_handling(planner.cell)
     spec = data.object(task.object_name)
@@ -158,14 +175,27 @@ def find_faults(planner: Planner, task: Task, phase: int, options: PhaseOptions,
     poses = np.array(task.object_poses)
     if not carrying and any(task.carrying[:low]):
         poses[planner.cell.source.layout.object_names.index(task.object_name)] = placed_pose(
-            planner.cell, task)
+            planner.cell, task
+        )
     return checking.limit_faults(planner.cell, trajectory) + checking.collision_faults(
-        options.cell, trajectory, task, carrying=carrying, poses=poses,
-        opening=spec.grip if carrying else data.gripper.open, held_in_tool=object_in_tool(spec))
+        options.cell,
+        trajectory,
+        task,
+        carrying=carrying,
+        poses=poses,
+        opening=spec.grip if carrying else data.gripper.open,
+        held_in_tool=object_in_tool(spec),
+    )
 
 
 def lfd_only(planner: Planner) -> Planner:
     """The same planner without its joint agent: what the skills can do alone."""
-    return Planner(planner.cell, planner.library, planner.choose, None, planner.switch,
-                   planner.scale, planner.config)
-
+    return Planner(
+        planner.cell,
+        planner.library,
+        planner.choose,
+        None,
+        planner.switch,
+        planner.scale,
+        planner.config,
+    )

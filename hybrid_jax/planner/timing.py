@@ -68,8 +68,10 @@ def densify(q: np.ndarray, spacing: float) -> np.ndarray:
     """Points along a polyline, no two neighbours further apart than `spacing` [rad]."""
     size = np.abs(np.diff(q, axis=0)).max(axis=1)
     counts = np.maximum(1, np.ceil(size / spacing).astype(int))
-    parts = [a + (b - a) * (np.arange(n) / n)[:, None]
-             for a, b, n in zip(q[:-1], q[1:], counts, strict=True)]
+    parts = [
+        a + (b - a) * (np.arange(n) / n)[:, None]
+        for a, b, n in zip(q[:-1], q[1:], counts, strict=True)
+    ]
     return np.concatenate([*parts, q[-1:]])
 
 
@@ -79,16 +81,24 @@ def _edges(cell, scene, starts, ends, samples):
     return jax.vmap(lambda a, b: edge_clearance(inside, a, b, samples))(starts, ends)
 
 
-def shortcut(cell: Workcell, q: np.ndarray, margin: float, config: TimingConfig,
-             seed: int = 0) -> np.ndarray:
+def shortcut(
+    cell: Workcell, q: np.ndarray, margin: float, config: TimingConfig, seed: int = 0
+) -> np.ndarray:
     """Replace detours of a polyline by straight edges that keep the margin."""
     rng = np.random.default_rng(seed)
     for _ in range(config.shortcut_rounds):
         if len(q) < 3:
             break
         pairs = np.sort(rng.integers(0, len(q), (config.shortcuts, 2)), axis=1)
-        gap = np.asarray(_edges(cell, cell.scene, jnp.asarray(q[pairs[:, 0]], jnp.float32),
-                                jnp.asarray(q[pairs[:, 1]], jnp.float32), config.shortcut_samples))
+        gap = np.asarray(
+            _edges(
+                cell,
+                cell.scene,
+                jnp.asarray(q[pairs[:, 0]], jnp.float32),
+                jnp.asarray(q[pairs[:, 1]], jnp.float32),
+                config.shortcut_samples,
+            )
+        )
         length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))])
         direct = np.linalg.norm(q[pairs[:, 1]] - q[pairs[:, 0]], axis=1)
         gain = length[pairs[:, 1]] - length[pairs[:, 0]] - direct
@@ -116,8 +126,11 @@ def smooth(cell: Workcell, q: np.ndarray, config: TimingConfig) -> np.ndarray | 
         phase = np.linspace(0, 1, len(dense))[:, None]
         line = dense[0] + phase * (dense[-1] - dense[0])
         bent = np.concatenate([-(dense - line)[::-1], dense - line, -(dense - line)[::-1]])
-        even = gaussian_filter1d(bent, width, axis=0)[len(dense) : 2 * len(dense)] if width else (
-            dense - line)
+        even = (
+            gaussian_filter1d(bent, width, axis=0)[len(dense) : 2 * len(dense)]
+            if width
+            else (dense - line)
+        )
         path = line + even
         path[0], path[-1] = dense[0], dense[-1]
         if path_clearance(cell, densify(path, config.spacing / 2)).min() >= config.margin:
@@ -125,8 +138,9 @@ def smooth(cell: Workcell, q: np.ndarray, config: TimingConfig) -> np.ndarray | 
     return None
 
 
-def time_parameterize(cell: Workcell, q: np.ndarray, sources: np.ndarray,
-                      config: TimingConfig) -> Trajectory | None:
+def time_parameterize(
+    cell: Workcell, q: np.ndarray, sources: np.ndarray, config: TimingConfig
+) -> Trajectory | None:
     """Fastest motion along a path under the velocity and acceleration limits; None if none.
 
     Args:
@@ -143,8 +157,10 @@ def time_parameterize(cell: Workcell, q: np.ndarray, sources: np.ndarray,
     path = toppra.SplineInterpolator(knots, q)
     speed = config.speed * np.asarray(cell.velocity_limits, float)
     rate = config.acceleration * np.asarray(cell.chain.acceleration_limits, float)
-    limits = [toppra.constraint.JointVelocityConstraint(np.stack([-speed, speed], 1)),
-              toppra.constraint.JointAccelerationConstraint(np.stack([-rate, rate], 1))]
+    limits = [
+        toppra.constraint.JointVelocityConstraint(np.stack([-speed, speed], 1)),
+        toppra.constraint.JointAccelerationConstraint(np.stack([-rate, rate], 1)),
+    ]
     grid = np.linspace(0, knots[-1], max(100, 2 * len(q)))
     timed = toppra.algorithm.TOPPRA(limits, path, gridpoints=grid).compute_trajectory(0, 0)
     if timed is None:

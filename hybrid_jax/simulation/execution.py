@@ -59,8 +59,14 @@ Watcher = Callable[[mujoco.MjData], None]
 class _Run:
     """One execution: model, data and what has been seen so far."""
 
-    def __init__(self, cell: Workcell, task: Task, config: ExecutionConfig, watch: Watcher | None,
-                 data: mujoco.MjData | None):
+    def __init__(
+        self,
+        cell: Workcell,
+        task: Task,
+        config: ExecutionConfig,
+        watch: Watcher | None,
+        data: mujoco.MjData | None,
+    ):
         self.model, self.layout, self.task = cell.model, cell.source.layout, task
         self.config, self.watch, self.spec = config, watch, require_handling(cell)
         self.data = data if data is not None else start_data(cell, task)
@@ -105,7 +111,9 @@ class _Run:
             if moving[0] == moving[1]:
                 continue
             mover, other = (a, b) if moving[0] else (b, a)
-            wanted = (self.arm[mover] and other in allowed) or (mover in allowed and other in support)
+            wanted = (self.arm[mover] and other in allowed) or (
+                mover in allowed and other in support
+            )
             if not wanted:
                 self._note(f"{self.model.body(mover).name} touched {self.model.body(other).name}")
 
@@ -117,8 +125,10 @@ class _Run:
         """Follow a timed trajectory, then rest."""
         dt = self.model.opt.timestep
         for t in np.arange(0, trajectory.times[-1] + self.config.dwell, dt):
-            q, velocity = (np.array([np.interp(t, trajectory.times, c) for c in columns.T])
-                           for columns in (trajectory.positions, trajectory.velocities))
+            q, velocity = (
+                np.array([np.interp(t, trajectory.times, c) for c in columns.T])
+                for columns in (trajectory.positions, trajectory.velocities)
+            )
             self.step(q, grip, velocity if t < trajectory.times[-1] else 0.0)
 
     def hold(self, q: np.ndarray, grip: float, seconds: float) -> None:
@@ -141,10 +151,13 @@ class _Run:
         tray = self.spec.tray(self.spec.object(self.task.object_name).tray)
         body = self.model.body(tray.name).id
         local = self.data.xmat[body].reshape(3, 3).T @ (
-            self.data.xpos[self.layout.object_bodies[self.object]] - self.data.xpos[body])
+            self.data.xpos[self.layout.object_bodies[self.object]] - self.data.xpos[body]
+        )
         dof = self.model.body_dofadr[self.layout.object_bodies[self.object]]
         slow = np.abs(self.data.qvel[dof : dof + 6]).max() < 0.05
-        inside = (np.abs(local[:2]) <= tray.half_size).all() and -0.01 < local[2] - tray.floor < 0.06
+        inside = (np.abs(local[:2]) <= tray.half_size).all() and -0.01 < local[
+            2
+        ] - tray.floor < 0.06
         return bool(inside and slow)
 
 
@@ -161,8 +174,15 @@ def start_data(cell: Workcell, task: Task) -> mujoco.MjData:
     return data
 
 
-def execute(cell: Workcell, task: Task, plan: PlanResult, config: ExecutionConfig = ExecutionConfig(),
-            *, watch: Watcher | None = None, data: mujoco.MjData | None = None) -> ExecutionReport:
+def execute(
+    cell: Workcell,
+    task: Task,
+    plan: PlanResult,
+    config: ExecutionConfig = ExecutionConfig(),
+    *,
+    watch: Watcher | None = None,
+    data: mujoco.MjData | None = None,
+) -> ExecutionReport:
     """Execute a plan for one object.
 
     Args:

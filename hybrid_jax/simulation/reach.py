@@ -71,8 +71,13 @@ def rotation_6d(quat: Float[Array, "4"]) -> Float[Array, "6"]:
 class ReachEnv(Env):
     """Brax's environment protocol; one copy, the trainer vmaps."""
 
-    def __init__(self, cell: Workcell, segments: Segments, paths: Float[Array, "segment point n"],
-                 config: ReachConfig = ReachConfig()):
+    def __init__(
+        self,
+        cell: Workcell,
+        segments: Segments,
+        paths: Float[Array, "segment point n"],
+        config: ReachConfig = ReachConfig(),
+    ):
         """Args:
         cell: robot and fixtures.
         segments: problems to draw from.
@@ -92,7 +97,7 @@ class ReachEnv(Env):
     @staticmethod
     def observation_length(joints: int) -> int:
         """Length of an observation of an arm with `joints` joints."""
-        return 3 * joints + 18 + RAY_COUNT + 3
+        return 3 * joints + 18 + RAY_COUNT + 2
 
     @property
     def backend(self) -> str:
@@ -103,28 +108,47 @@ class ReachEnv(Env):
         return self.cell.replace(scene=scene), self.segments.goal[segment]
 
     def observe(self, cell: Workcell, goal: Array, state: ReachState) -> Float[Array, "obs"]:
-        """What the agent sees; `3 n + 46` numbers of order one."""
+        """What the agent sees; `3 n + 45` numbers of order one.
+
+        No clock: an episode that the horizon cuts goes on from its last value, so time is no part
+        of the state. With a clock the value at the horizon is never a training input, is
+        extrapolated, and training diverges.
+        """
         low, high = cell.chain.limits.T
         pose, goal_pose = tool_pose(cell, state.q), tool_pose(cell, goal)
         relative = dq.mul(dq.conj(pose), goal_pose)
-        return jnp.concatenate([
-            2 * (state.q - low) / (high - low) - 1,
-            state.delta / self.config.max_delta,
-            goal - state.q,
-            dq.position(pose), rotation_6d(pose[:4]),
-            dq.position(relative), rotation_6d(relative[:4]),
-            sense(cell, pose),
-            jnp.stack([jnp.clip(10 * state.clearance, -1, 1), jnp.max(cell.scene.payload.capsule_on,
-                       initial=0.0), state.step / self.config.horizon]),
-        ])
+        return jnp.concatenate(
+            [
+                2 * (state.q - low) / (high - low) - 1,
+                state.delta / self.config.max_delta,
+                goal - state.q,
+                dq.position(pose),
+                rotation_6d(pose[:4]),
+                dq.position(relative),
+                rotation_6d(relative[:4]),
+                sense(cell, pose),
+                jnp.stack([jnp.clip(10 * state.clearance, -1, 1), self._loaded(cell)]),
+            ]
+        )
+
+    def _loaded(self, cell: Workcell) -> Float[Array, ""]:
+        """1 while an object is held."""
+        payload = cell.scene.payload
+        return jnp.max(jnp.concatenate([payload.capsule_on, payload.box_on]), initial=0.0)
 
     def begin(self, segment: Array, q: Array) -> State:
         """Start a given problem from a given configuration."""
         cell, goal = self._scene(segment)
         state = ReachState(q, jnp.zeros_like(q), segment, jnp.float32(0.05), jnp.zeros((), int))
         zero = jnp.float32(0.0)
-        return State(state, self.observe(cell, goal, state), zero, zero, {"success": zero},
-                     {"truncation": zero})
+        return State(
+            state,
+            self.observe(cell, goal, state),
+            zero,
+            zero,
+            {"success": zero},
+            {"truncation": zero},
+        )
 
     def reset(self, rng: PRNGKeyArray) -> State:
         key_segment, key_point, key_kind = jax.random.split(rng, 3)
@@ -149,13 +173,22 @@ class ReachEnv(Env):
         reached = jnp.max(jnp.abs(goal - q)) <= rules.tolerance
         count = world.step + 1
         truncated = (count >= rules.horizon) & ~reached
-        reward = (self.potential(q, goal) - self.potential(world.q, goal) - rules.step_cost
-                  - rules.blocked_cost * ~free + rules.success_bonus * reached)
+        reward = (
+            self.potential(q, goal)
+            - self.potential(world.q, goal)
+            - rules.step_cost
+            - rules.blocked_cost * ~free
+            + rules.success_bonus * reached
+        )
         world = ReachState(q, q - world.q, world.segment, gap, count)
-        return State(world, self.observe(cell, goal, world), reward,
-                     (reached | truncated).astype(jnp.float32),
-                     {"success": reached.astype(jnp.float32)},
-                     {"truncation": truncated.astype(jnp.float32)})
+        return State(
+            world,
+            self.observe(cell, goal, world),
+            reward,
+            (reached | truncated).astype(jnp.float32),
+            {"success": reached.astype(jnp.float32)},
+            {"truncation": truncated.astype(jnp.float32)},
+        )
 
 
 def resample_path(path: np.ndarray, points: int) -> np.ndarray:

@@ -58,8 +58,10 @@ def clean(demo: Demonstration, points: int = POINTS) -> np.ndarray:
 
 def save_demonstrations(path: Path, demos: list[Demonstration]) -> None:
     """Write demonstrations to one file."""
-    tree = {d.name: {"times": d.times.astype(np.float32), "poses": d.poses.astype(np.float32)}
-            for d in demos}
+    tree = {
+        d.name: {"times": d.times.astype(np.float32), "poses": d.poses.astype(np.float32)}
+        for d in demos
+    }
     about = {d.name: {"robot": d.robot, "closed": d.closed} for d in demos}
     artifacts.save(path, "demonstrations", "", tree, demonstrations=about)
 
@@ -71,10 +73,14 @@ def load_demonstrations(path: Path) -> list[Demonstration]:
         RunFolderError: missing or damaged, or a recording that holds no motion.
     """
     header, tree = artifacts.load(path, "demonstrations", None)
-    demos = [Demonstration(name, times=tree[name]["times"], poses=tree[name]["poses"], **about)
-             for name, about in header["demonstrations"].items()]
+    demos = [
+        Demonstration(name, times=tree[name]["times"], poses=tree[name]["poses"], **about)
+        for name, about in header["demonstrations"].items()
+    ]
     for demo in demos:
         if len(demo.poses) < 8 or not np.isfinite(demo.poses).all():
-            raise RunFolderError(f"{path}: demonstration {demo.name!r} has fewer than 8 samples "
-                                 "or values that are not finite")
+            raise RunFolderError(
+                f"{path}: demonstration {demo.name!r} has fewer than 8 samples "
+                "or values that are not finite"
+            )
     return demos

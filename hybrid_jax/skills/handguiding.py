@@ -71,12 +71,20 @@ def _shaken(times: np.ndarray, poses: list, config: HandConfig, rng) -> list:
     fast = np.sin(2 * np.pi * 8 * times + rng.uniform(0, 6.3))[:, None] * rng.normal(size=3)
     shift = fade * (config.drift * drift[:, :3] + config.tremor * fast)
     turns = fade * 10 * config.drift * drift[:, 3:]
-    return [RigidTransform.from_components(p.translation + d, Rotation.from_rotvec(r) * p.rotation)
-            for p, d, r in zip(poses, shift, turns, strict=True)]
+    return [
+        RigidTransform.from_components(p.translation + d, Rotation.from_rotvec(r) * p.rotation)
+        for p, d, r in zip(poses, shift, turns, strict=True)
+    ]
 
 
-def guide(cell: Workcell, name: str, points: list[RigidTransform], closed: bool,
-          config: HandConfig, rng: np.random.Generator) -> Demonstration:
+def guide(
+    cell: Workcell,
+    name: str,
+    points: list[RigidTransform],
+    closed: bool,
+    config: HandConfig,
+    rng: np.random.Generator,
+) -> Demonstration:
     """Guide the arm through tool poses and record where its tool was."""
     times, intended = _intended(points, config, rng)
     hand = _shaken(times, intended, config, rng)
@@ -88,8 +96,9 @@ def guide(cell: Workcell, name: str, points: list[RigidTransform], closed: bool,
 
     def step(target: RigidTransform) -> None:
         follow.set_target(mink.SE3.from_matrix(target.as_matrix()))
-        velocity = mink.solve_ik(configuration, [follow], 1 / config.rate, solver="daqp",
-                                 damping=1e-6, limits=limits)
+        velocity = mink.solve_ik(
+            configuration, [follow], 1 / config.rate, solver="daqp", damping=1e-6, limits=limits
+        )
         configuration.integrate_inplace(velocity, 1 / config.rate)
 
     for _ in range(150):  # bring the tool to the first pose
@@ -135,17 +144,27 @@ def scripted_motions(cell: Workcell, yaw: float) -> Iterator[tuple[str, bool, li
         poses[layout.object_names.index(spec.name), [0, 1]] = spec.spawn[:2]
         poses[layout.object_names.index(spec.name), 3:] = [np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
         start, grasp, lifted, above, placed, end = (
-            _pose(p.astype(float)) for p in tasks.handling_task(cell, spec.name, poses).key_poses)
+            _pose(p.astype(float)) for p in tasks.handling_task(cell, spec.name, poses).key_poses
+        )
         middle = RigidTransform.from_components(
-            (lifted.translation + above.translation) / 2 + [0, 0, 0.05], above.rotation)
+            (lifted.translation + above.translation) / 2 + [0, 0, 0.05], above.rotation
+        )
         before = _shifted(grasp, z=0.16)
         yield f"pick_{kind}", False, [start, _shifted(before, x=-0.03, z=0.02), before, grasp]
         yield f"lift_{kind}", True, [grasp, _shifted(grasp, z=data.lift / 2), lifted]
         yield f"transfer_{kind}", True, [lifted, middle, above]
         yield f"place_{kind}", True, [above, _shifted(placed, z=data.hover / 2), placed]
         yield f"carry_{kind}", True, [grasp, lifted, middle, above, placed]
-        yield f"retreat_{kind}", False, [placed, _shifted(placed, z=0.12),
-                                         _shifted(end, y=0.4 * placed.translation[1], z=0.02), end]
+        yield (
+            f"retreat_{kind}",
+            False,
+            [
+                placed,
+                _shifted(placed, z=0.12),
+                _shifted(end, y=0.4 * placed.translation[1], z=0.02),
+                end,
+            ],
+        )
 
 
 def record(cell: Workcell, config: HandConfig = HandConfig(), seed: int = 0) -> list[Demonstration]:

@@ -81,13 +81,15 @@ def build_library(demos: list[Demonstration]) -> SkillLibrary:
         poses=jnp.asarray(np.concatenate([poses, filler]), jnp.float32),
         valid=jnp.arange(MAX_SKILLS) < len(demos),
         closed=jnp.array([d.closed for d in demos] + [False] * empty),
-        names=tuple(d.name for d in demos))
+        names=tuple(d.name for d in demos),
+    )
 
 
 def without(library: SkillLibrary, names: set[str]) -> SkillLibrary:
     """The library with some skills taken out."""
-    keep = jnp.array([i >= len(library.names) or library.names[i] not in names
-                      for i in range(MAX_SKILLS)])
+    keep = jnp.array(
+        [i >= len(library.names) or library.names[i] not in names for i in range(MAX_SKILLS)]
+    )
     return library.replace(valid=library.valid & keep)
 
 
@@ -102,14 +104,21 @@ def _monotone_costs(terms: Float[Array, "l b skill i"], limit: float) -> Float[A
         for b in range(a + 1, count):
             row = row.at[b].set(jnp.min(best[b], axis=-1))
             before = jax.lax.cummin(best, axis=2)
-            before = jnp.concatenate([jnp.full_like(before[..., :1], jnp.inf), before[..., :-1]], -1)
+            before = jnp.concatenate(
+                [jnp.full_like(before[..., :1], jnp.inf), before[..., :-1]], -1
+            )
             best = before + terms[b]
         rows.append(row)
     return jnp.stack(rows)
 
 
-def segment_costs(library: SkillLibrary, key_poses: Float[Array, "K 8"],
-                  carrying: Bool[Array, "K"], count: Array, config: SkillConfig) -> SegmentCosts:
+def segment_costs(
+    library: SkillLibrary,
+    key_poses: Float[Array, "K 8"],
+    carrying: Bool[Array, "K"],
+    count: Array,
+    config: SkillConfig,
+) -> SegmentCosts:
     """Costs of all segments and skills of one padded task (paper, eqs. of `beta` and `r_t`).
 
     Args:
@@ -125,8 +134,9 @@ def segment_costs(library: SkillLibrary, key_poses: Float[Array, "K 8"],
     demo = dq.mul(dq.conj(library.poses[:, :-1]), ends)
     grid = jnp.broadcast_to(key_poses[:, None], (size, size, 8))
     wanted = dq.mul(dq.conj(grid), jnp.swapaxes(grid, 0, 1))  # [l, b, 8]
-    compare = jax.vmap(jax.vmap(jax.vmap(jax.vmap(distance, (None, 0)), (None, 0)), (0, None)),
-                       (0, None))
+    compare = jax.vmap(
+        jax.vmap(jax.vmap(jax.vmap(distance, (None, 0)), (None, 0)), (0, None)), (0, None)
+    )
     terms = compare(wanted, demo)  # [l, b, skill, i]
     index = jnp.arange(size)
     held = jnp.cumsum(jnp.concatenate([jnp.zeros(1), carrying.astype(jnp.float32)]))[:size]
@@ -135,8 +145,10 @@ def segment_costs(library: SkillLibrary, key_poses: Float[Array, "K 8"],
     real = (length > 0) & (index[None] < count)
     grip = jnp.where(library.closed, (inside == length)[..., None], (inside == 0)[..., None])
     usable = real[..., None] & grip & library.valid
-    costs = [jnp.where(usable, _monotone_costs(terms, limit), jnp.inf)
-             for limit in (config.tolerance, 1e6)]
+    costs = [
+        jnp.where(usable, _monotone_costs(terms, limit), jnp.inf)
+        for limit in (config.tolerance, 1e6)
+    ]
     return SegmentCosts(*costs)
 
 
@@ -151,15 +163,20 @@ def pad_task(task: Task) -> tuple[np.ndarray, np.ndarray, int]:
     return poses.astype(np.float32), carrying, count
 
 
-def match_indices(library: SkillLibrary, key_poses: np.ndarray, a: int, b: int, skill: int,
-                  config: SkillConfig) -> list[int]:
+def match_indices(
+    library: SkillLibrary, key_poses: np.ndarray, a: int, b: int, skill: int, config: SkillConfig
+) -> list[int]:
     """Points of a demonstration that stand for key poses a..b: the matching behind the cost."""
     demo = library.poses[skill]
     seen = dq.mul(dq.conj(demo[:-1]), jnp.broadcast_to(demo[-1], demo[:-1].shape))
     distance = jax.vmap(BETAS[config.distance], (None, 0))
     goal = jnp.asarray(key_poses[b])
-    terms = np.stack([np.asarray(distance(dq.mul(dq.conj(jnp.asarray(key_poses[p])), goal), seen))
-                      for p in range(a, b)])
+    terms = np.stack(
+        [
+            np.asarray(distance(dq.mul(dq.conj(jnp.asarray(key_poses[p])), goal), seen))
+            for p in range(a, b)
+        ]
+    )
     best, choice = np.full(terms.shape, np.inf), np.zeros(terms.shape, int)
     best[0, 0] = terms[0, 0]
     for r in range(1, len(terms)):
@@ -172,8 +189,15 @@ def match_indices(library: SkillLibrary, key_poses: np.ndarray, a: int, b: int, 
     return index[::-1] + [demo.shape[0] - 1]
 
 
-def map_segment(library: SkillLibrary, key_poses: np.ndarray, a: int, b: int, skill: int,
-                config: SkillConfig, points: int) -> np.ndarray:
+def map_segment(
+    library: SkillLibrary,
+    key_poses: np.ndarray,
+    a: int,
+    b: int,
+    skill: int,
+    config: SkillConfig,
+    points: int,
+) -> np.ndarray:
     """Map a skill onto key poses a..b; `points` poses for each unit segment, `[n, 8]`.
 
     A skill that covers several unit segments is cut where it passes the key poses, so that each
@@ -181,15 +205,28 @@ def map_segment(library: SkillLibrary, key_poses: np.ndarray, a: int, b: int, sk
     """
     whole = [0, library.poses.shape[1] - 1]
     cuts = whole if b == a + 1 else match_indices(library, key_poses, a, b, skill, config)
-    return np.concatenate([
-        np.asarray(_map_piece(library.poses[skill], low, high, key_poses[a + k],
-                              key_poses[a + k + 1], config.map, points))
-        for k, (low, high) in enumerate(zip(cuts[:-1], cuts[1:], strict=True))])
+    return np.concatenate(
+        [
+            np.asarray(
+                _map_piece(
+                    library.poses[skill],
+                    low,
+                    high,
+                    key_poses[a + k],
+                    key_poses[a + k + 1],
+                    config.map,
+                    points,
+                )
+            )
+            for k, (low, high) in enumerate(zip(cuts[:-1], cuts[1:], strict=True))
+        ]
+    )
 
 
 @functools.partial(jax.jit, static_argnames=("mapping", "points"))
-def _map_piece(demo: Array, low: Array, high: Array, start: Array, goal: Array, mapping: str,
-               points: int) -> Float[Array, "points 8"]:
+def _map_piece(
+    demo: Array, low: Array, high: Array, start: Array, goal: Array, mapping: str, points: int
+) -> Float[Array, "points 8"]:
     """Map the part of a demonstration between two of its points; the rest collapses onto them."""
     inside = jnp.clip(jnp.arange(demo.shape[0]), low, high)
     return MAPS[mapping](resample(demo[inside], points), start, goal)

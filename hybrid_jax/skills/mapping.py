@@ -27,7 +27,9 @@ def align_signs(poses: Float[Array, "point 8"]) -> Float[Array, "point 8"]:
 def arc_phase(poses: Float[Array, "point 8"]) -> Float[Array, "point"]:
     """Share of the path's length passed at each point, from 0 to 1."""
     step = dq.log(dq.mul(dq.conj(poses[:-1]), poses[1:]))
-    length = jnp.sqrt(jnp.sum(step[:, :3] ** 2, -1) / LENGTH_SCALE**2 + jnp.sum(step[:, 3:] ** 2, -1))
+    length = jnp.sqrt(
+        jnp.sum(step[:, :3] ** 2, -1) / LENGTH_SCALE**2 + jnp.sum(step[:, 3:] ** 2, -1)
+    )
     total = jnp.concatenate([jnp.zeros(1), jnp.cumsum(length)])
     return total / jnp.maximum(total[-1], 1e-9)
 
@@ -64,18 +66,27 @@ def aligned(poses: Array, start: Array, goal: Array) -> Float[Array, "point 8"]:
     Meets both ends, returns the demonstration on its own ends, and moves along with a rigid
     motion of both ends. The rest is spread by arc length, position and rotation apart.
     """
-    move = dq.sclerp(dq.mul(start, dq.conj(poses[0])), dq.mul(goal, dq.conj(poses[-1])),
-                     jnp.float32(0.5).astype(poses.dtype))
+    move = dq.sclerp(
+        dq.mul(start, dq.conj(poses[0])),
+        dq.mul(goal, dq.conj(poses[-1])),
+        jnp.float32(0.5).astype(poses.dtype),
+    )
     moved = dq.mul(jnp.broadcast_to(move, poses.shape), poses)
     w = arc_phase(poses)[:, None]
     position = dq.position(moved)
-    position = (position + (1 - w) * (dq.position(start) - position[0])
-                + w * (dq.position(goal) - position[-1]))
-    first, last = (dq.quat_log(dq.quat_mul(dq.quat_conj(moved[i, :4]), end[:4]))
-                   for i, end in ((0, start), (-1, goal)))
+    position = (
+        position
+        + (1 - w) * (dq.position(start) - position[0])
+        + w * (dq.position(goal) - position[-1])
+    )
+    first, last = (
+        dq.quat_log(dq.quat_mul(dq.quat_conj(moved[i, :4]), end[:4]))
+        for i, end in ((0, start), (-1, goal))
+    )
     between = dq.quat_log(dq.quat_mul(dq.quat_conj(dq.quat_exp(first)), dq.quat_exp(last)))
-    rest = dq.quat_mul(jnp.broadcast_to(dq.quat_exp(first), (len(poses), 4)),
-                       dq.quat_exp(w * between))
+    rest = dq.quat_mul(
+        jnp.broadcast_to(dq.quat_exp(first), (len(poses), 4)), dq.quat_exp(w * between)
+    )
     return align_signs(dq.normalize(dq.from_parts(position, dq.quat_mul(moved[:, :4], rest))))
 
 

@@ -25,8 +25,10 @@ class MissingSkill:
     tolerance: float
 
     def __str__(self):
-        return (f"key pose {self.start} to {self.end}: nearest skill {self.nearest_skill!r} at "
-                f"{self.distance:.3f} m, allowed {self.tolerance:.3f} m")
+        return (
+            f"key pose {self.start} to {self.end}: nearest skill {self.nearest_skill!r} at "
+            f"{self.distance:.3f} m, allowed {self.tolerance:.3f} m"
+        )
 
 
 def optimal_plan(cost: np.ndarray, count: int) -> tuple[Plan, float]:
@@ -49,8 +51,9 @@ def optimal_plan(cost: np.ndarray, count: int) -> tuple[Plan, float]:
     return plan[::-1], float(value[-1])
 
 
-def missing_skills(cost: np.ndarray, nearest: np.ndarray, count: int, names: tuple[str, ...],
-                   tolerance: float) -> list[MissingSkill]:
+def missing_skills(
+    cost: np.ndarray, nearest: np.ndarray, count: int, names: tuple[str, ...], tolerance: float
+) -> list[MissingSkill]:
     """Unit segments that no admissible skill covers, alone or as part of a longer segment."""
     forward = [np.isfinite(optimal_plan(cost, b + 1)[1]) for b in range(count)]
     forward[0] = True
@@ -61,8 +64,7 @@ def missing_skills(cost: np.ndarray, nearest: np.ndarray, count: int, names: tup
         for b in range(a + 1, count):
             if forward[a] and backward[b] and np.isfinite(cost[a, b]).any():
                 covered[a:b] = True
-    gaps = [a for a in range(count - 1)
-            if not covered[a] and not np.isfinite(cost[a, a + 1]).any()]
+    gaps = [a for a in range(count - 1) if not covered[a] and not np.isfinite(cost[a, a + 1]).any()]
     gaps = gaps or [a for a in range(count - 1) if not covered[a]]
     out = []
     for a in gaps:

@@ -38,16 +38,21 @@ class Task:
     @property
     def phases(self) -> list[tuple[int, int]]:
         """Runs of segments between gripper events, as (first key pose, last key pose)."""
-        cuts = [0] + [i for i in range(1, len(self.carrying))
-                      if self.carrying[i] != self.carrying[i - 1]] + [len(self.carrying)]
+        cuts = (
+            [0]
+            + [i for i in range(1, len(self.carrying)) if self.carrying[i] != self.carrying[i - 1]]
+            + [len(self.carrying)]
+        )
         return list(zip(cuts[:-1], cuts[1:], strict=True))
 
 
 def require_handling(cell: Workcell) -> Handling:
     """The cell's task data; WorkcellError where it has none."""
     if cell.source.task is None:
-        raise WorkcellError(f"the cell {cell.source.name!r} has no task data: write "
-                            f"{cell.source.name}.toml beside its MJCF")
+        raise WorkcellError(
+            f"the cell {cell.source.name!r} has no task data: write "
+            f"{cell.source.name}.toml beside its MJCF"
+        )
     return cell.source.task
 
 
@@ -59,7 +64,9 @@ def yaw_of(pose: np.ndarray) -> float:
 
 def upright(position, yaw: float) -> RigidTransform:
     """Pose turned about the vertical only."""
-    return RigidTransform.from_components(np.asarray(position, float), Rotation.from_euler("z", yaw))
+    return RigidTransform.from_components(
+        np.asarray(position, float), Rotation.from_euler("z", yaw)
+    )
 
 
 def object_in_tool(spec: ObjectSpec) -> np.ndarray:
@@ -82,8 +89,11 @@ def place_pose(cell: Workcell, spec: ObjectSpec) -> RigidTransform:
     address = layout.object_qpos[layout.object_names.index(spec.name)]
     height = tray.floor + task.release + home_qpos(cell.model)[address + 2]
     slot = upright([*spec.slot[:2], height], spec.slot[2])
-    return pose_of(body.pos, body.quat) * slot * RigidTransform.from_components(
-        np.array(spec.grasp), _DOWN)
+    return (
+        pose_of(body.pos, body.quat)
+        * slot
+        * RigidTransform.from_components(np.array(spec.grasp), _DOWN)
+    )
 
 
 def _raised(pose: RigidTransform, height: float) -> RigidTransform:
@@ -96,13 +106,18 @@ def handling_task(cell: Workcell, object_name: str, object_poses: np.ndarray) ->
     spec = data.object(object_name)
     index = cell.source.layout.object_names.index(object_name)
     grasp, place = grasp_pose(spec, object_poses[index]), place_pose(cell, spec)
-    rows = np.stack([as_row(p) for p in (grasp, _raised(grasp, data.lift),
-                                         _raised(place, data.hover), place)]).astype(np.float32)
+    rows = np.stack(
+        [as_row(p) for p in (grasp, _raised(grasp, data.lift), _raised(place, data.hover), place)]
+    ).astype(np.float32)
     poses = np.asarray(dq.from_parts(jnp.asarray(rows[:, :3]), jnp.asarray(rows[:, 3:])))
     home = np.asarray(tool_pose(cell, cell.home))
-    return Task(object_name, np.asarray(object_poses, np.float32),
-                np.stack([home, *poses, home]), (False, True, True, True, False),
-                (data.table, spec.tray))
+    return Task(
+        object_name,
+        np.asarray(object_poses, np.float32),
+        np.stack([home, *poses, home]),
+        (False, True, True, True, False),
+        (data.table, spec.tray),
+    )
 
 
 def _overlapping(model, data, bodies) -> bool:
@@ -127,8 +142,10 @@ def sample_scene(cell: Workcell, seed: int, settle: float = 0.4) -> np.ndarray:
         mujoco.mj_forward(model, data)
         if not _overlapping(model, data, layout.object_bodies):
             return _settle(cell, data, settle)
-    raise WorkcellError(f"cell {cell.source.name!r}: 200 random scenes in a row had overlapping "
-                        "objects; widen the distances of 'spawn' or narrow 'jitter'")
+    raise WorkcellError(
+        f"cell {cell.source.name!r}: 200 random scenes in a row had overlapping "
+        "objects; widen the distances of 'spawn' or narrow 'jitter'"
+    )
 
 
 def _settle(cell: Workcell, data: mujoco.MjData, seconds: float) -> np.ndarray:
@@ -166,8 +183,10 @@ def read_task(cell: Workcell, path: Path) -> Task:
         poses = np.asarray(values["object_poses"], np.float32)
         wanted = (len(cell.source.layout.object_names), 7)
         if poses.shape != wanted or not np.isfinite(poses).all():
-            raise TaskError(f"{path}: object_poses must be {wanted[0]} finite rows of x, y, z, "
-                            f"qw, qx, qy, qz, got shape {poses.shape}")
+            raise TaskError(
+                f"{path}: object_poses must be {wanted[0]} finite rows of x, y, z, "
+                f"qw, qx, qy, qz, got shape {poses.shape}"
+            )
     else:
         poses = sample_scene(cell, int(values.get("scene_seed", 0)))
     return handling_task(cell, values["object"], poses)

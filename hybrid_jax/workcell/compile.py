@@ -10,7 +10,12 @@ import numpy as np
 
 from hybrid_jax.errors import WorkcellError
 from hybrid_jax.types import (
-    ContactPairs, KinematicChain, RobotShapes, Scene, Shapes, Workcell, WorkcellSource,
+    ContactPairs,
+    KinematicChain,
+    RobotShapes,
+    Scene,
+    Workcell,
+    WorkcellSource,
 )
 from hybrid_jax.workcell import geometry
 from hybrid_jax.workcell.description import Handling
@@ -71,10 +76,15 @@ def _chain(model, data, layout) -> KinematicChain:
     tool = geometry.matrix_pose(data.site_xpos[site], data.site_xmat[site])
     joints = list(layout.joints)
     arrays = (
-        geometry.as_row(base), np.stack(offsets), model.jnt_axis[joints],
-        (model.jnt_type[joints] == _HINGE).astype(float), model.qpos0[list(layout.qpos)],
-        geometry.as_row(frames[-1].inv() * tool), _limits(model, layout),
-        _rates(model, layout, 0, DEFAULT_VELOCITY), _rates(model, layout, 1, DEFAULT_ACCELERATION),
+        geometry.as_row(base),
+        np.stack(offsets),
+        model.jnt_axis[joints],
+        (model.jnt_type[joints] == _HINGE).astype(float),
+        model.qpos0[list(layout.qpos)],
+        geometry.as_row(frames[-1].inv() * tool),
+        _limits(model, layout),
+        _rates(model, layout, 0, DEFAULT_VELOCITY),
+        _rates(model, layout, 1, DEFAULT_ACCELERATION),
     )
     return KinematicChain(*(jnp.asarray(np.asarray(a, np.float32)) for a in arrays))
 
@@ -106,7 +116,8 @@ def _object_of(model, layout, geom: int) -> int:
 def may_collide(model: mujoco.MjModel, a: int, b: int) -> bool:
     """MuJoCo's own filter: bit masks, same or adjacent bodies, excluded body pairs."""
     bits = (model.geom_contype[a] & model.geom_conaffinity[b]) | (
-        model.geom_contype[b] & model.geom_conaffinity[a])
+        model.geom_contype[b] & model.geom_conaffinity[a]
+    )
     body_a, body_b = int(model.geom_bodyid[a]), int(model.geom_bodyid[b])
     weld_a, weld_b = int(model.body_weldid[body_a]), int(model.body_weldid[body_b])
     if not bits or weld_a == weld_b:
@@ -139,8 +150,12 @@ def _pairs(model, robot, world, planes, payload_slots, last_link, links) -> Cont
     slots_c, slots_b = payload_slots
 
     def inner(first, second, same):
-        found = [(i, j) for i, p in enumerate(first) for j, r in enumerate(second)
-                 if (not same or i < j) and may_collide(model, p.geom, r.geom)]
+        found = [
+            (i, j)
+            for i, p in enumerate(first)
+            for j, r in enumerate(second)
+            if (not same or i < j) and may_collide(model, p.geom, r.geom)
+        ]
         return found
 
     # the payload may touch the link that carries the gripper, and nothing before it
@@ -155,10 +170,17 @@ def _pairs(model, robot, world, planes, payload_slots, last_link, links) -> Cont
         box_capsule=mask(robot_b, geoms_c, slots_b),
         box_box=mask(robot_b, geoms_b, slots_b),
         box_plane=mask(robot_b, planes, slots_b),
-        self_capsules=tuple(inner(robot_c, robot_c, True) + [(j, k) for k in own_c for j in free_c]),
-        self_boxes=tuple(inner(robot_b, robot_c, False) + [(k, j) for k in own_b for j in free_c]
-                         + [(j, k) for k in own_c for j in free_b]),
-        self_box_boxes=tuple(inner(robot_b, robot_b, True) + [(k, j) for k in own_b for j in free_b]),
+        self_capsules=tuple(
+            inner(robot_c, robot_c, True) + [(j, k) for k in own_c for j in free_c]
+        ),
+        self_boxes=tuple(
+            inner(robot_b, robot_c, False)
+            + [(k, j) for k in own_b for j in free_c]
+            + [(j, k) for k in own_c for j in free_b]
+        ),
+        self_box_boxes=tuple(
+            inner(robot_b, robot_b, True) + [(k, j) for k in own_b for j in free_b]
+        ),
     )
 
 
@@ -174,10 +196,12 @@ def _robot(model, data, layout, geoms, frames, links, slots):
     tool = len(layout.joints)
     record = RobotShapes(
         shapes=geometry.to_shapes(primitives),
-        capsule_stroke=strokes(capsules), box_stroke=strokes(boxes),
+        capsule_stroke=strokes(capsules),
+        box_stroke=strokes(boxes),
         capsule_link=tuple(links[p.geom] for p in capsules) + (tool,) * slots[0],
         box_link=tuple(links[p.geom] for p in boxes) + (tool,) * slots[1],
-        payload_capsules=slots[0], payload_boxes=slots[1],
+        payload_capsules=slots[0],
+        payload_boxes=slots[1],
     )
     return primitives, record
 
@@ -215,35 +239,53 @@ def compile_workcell(model: mujoco.MjModel, name: str, task: Handling | None) ->
     movable = [g for g in geoms if _object_of(model, layout, g) >= 0]
     fixed = [g for g in geoms if links[g] < 0 and g not in movable and g not in flat]
     objects = _objects(model, data, layout, movable)
-    per_object = [[p for p in objects if _object_of(model, layout, p.geom) == k]
-                  for k in range(len(layout.object_bodies))]
-    slots = tuple(max([len(_split(ones)[kind]) for ones in per_object], default=0)
-                  for kind in (0, 1))
-    robot, robot_record = _robot(model, data, layout, [g for g in geoms if links[g] >= 0], frames,
-                                 links, slots)
+    per_object = [
+        [p for p in objects if _object_of(model, layout, p.geom) == k]
+        for k in range(len(layout.object_bodies))
+    ]
+    slots = tuple(
+        max([len(_split(ones)[kind]) for ones in per_object], default=0) for kind in (0, 1)
+    )
+    robot, robot_record = _robot(
+        model, data, layout, [g for g in geoms if links[g] >= 0], frames, links, slots
+    )
     world = geometry.pose_of([0, 0, 0], [1, 0, 0, 0])
     fixtures = [geometry.primitive(model, data, g, world) for g in fixed]
     pairs = _pairs(model, robot, (fixtures, objects), flat, slots, len(layout.joints) - 1, links)
     planes = np.array([geometry.plane_row(data, g) for g in flat], np.float32).reshape(-1, 4)
     object_shapes = geometry.to_shapes(objects)
-    owners = tuple(tuple(_object_of(model, layout, p.geom) for p in ones)
-                   for ones in _split(objects))
+    owners = tuple(
+        tuple(_object_of(model, layout, p.geom) for p in ones) for ones in _split(objects)
+    )
     fixture_record = geometry.to_shapes(fixtures)
     home = home_qpos(model)
     opening = task.gripper.open if task else 0.0
     scene = Scene(
-        objects=object_shapes, payload=geometry.to_shapes([], *slots),
+        objects=object_shapes,
+        payload=geometry.to_shapes([], *slots),
         opening=jnp.float32(opening),
         payload_support_on=jnp.ones(fixture_record.box_on.size + object_shapes.box_on.size),
     )
     chain = _chain(model, data, layout)
     home_arm = jnp.asarray(home[list(layout.qpos)], jnp.float32)
-    digest = _digest((chain, robot_record, fixture_record, planes, pairs, object_shapes, home_arm),
-                     (layout.joint_names, layout.object_names, owners), task)
+    digest = _digest(
+        (chain, robot_record, fixture_record, planes, pairs, object_shapes, home_arm),
+        (layout.joint_names, layout.object_names, owners),
+        task,
+    )
     source = WorkcellSource(name=name, digest=digest, model=model, layout=layout, task=task)
     source.owners = owners
     source.fixture_bodies = tuple(
-        model.body(model.geom_bodyid[p.geom]).name for p in fixtures if p.box)
-    return Workcell(chain=chain, robot=robot_record, fixtures=fixture_record,
-                    planes=jnp.asarray(planes), objects=object_shapes, pairs=pairs, scene=scene,
-                    home=home_arm, source=source)
+        model.body(model.geom_bodyid[p.geom]).name for p in fixtures if p.box
+    )
+    return Workcell(
+        chain=chain,
+        robot=robot_record,
+        fixtures=fixture_record,
+        planes=jnp.asarray(planes),
+        objects=object_shapes,
+        pairs=pairs,
+        scene=scene,
+        home=home_arm,
+        source=source,
+    )

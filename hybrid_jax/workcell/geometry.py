@@ -99,7 +99,9 @@ def to_shapes(primitives: list[Primitive], capsules: int = 0, boxes: int = 0) ->
         ends[i], radius[i] = p.pose.apply(np.stack([-axis, axis])), p.size[0]
     for i, p in enumerate(box_ones):
         pose[i], half[i] = as_row(p.pose), p.size
-    on = [(np.arange(n) < len(used)).astype(np.float32)
-          for n, used in ((capsules, round_ones), (boxes, box_ones))]
+    on = [
+        (np.arange(n) < len(used)).astype(np.float32)
+        for n, used in ((capsules, round_ones), (boxes, box_ones))
+    ]
     arrays = [np.asarray(a, np.float32) for a in (ends, radius, on[0], pose, half, on[1])]
     return Shapes(*(jnp.asarray(a) for a in arrays))

@@ -102,8 +102,11 @@ def _named(model, kind, what: str, name: str) -> int:
 
 
 def _count(model, kind) -> int:
-    counts = {mujoco.mjtObj.mjOBJ_JOINT: model.njnt, mujoco.mjtObj.mjOBJ_ACTUATOR: model.nu,
-              mujoco.mjtObj.mjOBJ_BODY: model.nbody}
+    counts = {
+        mujoco.mjtObj.mjOBJ_JOINT: model.njnt,
+        mujoco.mjtObj.mjOBJ_ACTUATOR: model.nu,
+        mujoco.mjtObj.mjOBJ_BODY: model.nbody,
+    }
     return counts[kind]
 
 
@@ -116,12 +119,16 @@ def find_layout(model: mujoco.MjModel, task: Handling | None) -> Layout:
     """
     tool = _find_tool(model, task)
     joints = _arm_joints(model, tool)
-    free = [b for b in range(1, model.nbody)
-            if any(model.jnt_type[j] == _FREE for j in body_joints(model, b))]
+    free = [
+        b
+        for b in range(1, model.nbody)
+        if any(model.jnt_type[j] == _FREE for j in body_joints(model, b))
+    ]
     if task:
         names = [spec.name for spec in task.objects]
         free = [_named(model, mujoco.mjtObj.mjOBJ_BODY, "object", n) for n in names] + [
-            b for b in free if model.body(b).name not in names]
+            b for b in free if model.body(b).name not in names
+        ]
         for tray in task.trays:
             _named(model, mujoco.mjtObj.mjOBJ_BODY, "tray", tray.name)
     gripper = task.gripper if task else None
@@ -132,10 +139,15 @@ def find_layout(model: mujoco.MjModel, task: Handling | None) -> Layout:
         dofs=tuple(int(model.jnt_dofadr[j]) for j in joints),
         actuators=tuple(_joint_actuator(model, j) for j in joints),
         tool_site=tool,
-        fingers=tuple(_named(model, mujoco.mjtObj.mjOBJ_JOINT, "gripper joint", n)
-                      for n in (gripper.joints if gripper else ())),
-        gripper_actuator=_named(model, mujoco.mjtObj.mjOBJ_ACTUATOR, "gripper actuator",
-                                gripper.actuator) if gripper else -1,
+        fingers=tuple(
+            _named(model, mujoco.mjtObj.mjOBJ_JOINT, "gripper joint", n)
+            for n in (gripper.joints if gripper else ())
+        ),
+        gripper_actuator=_named(
+            model, mujoco.mjtObj.mjOBJ_ACTUATOR, "gripper actuator", gripper.actuator
+        )
+        if gripper
+        else -1,
         object_names=tuple(_name(model, mujoco.mjtObj.mjOBJ_BODY, b) for b in free),
         object_bodies=tuple(free),
         object_qpos=tuple(int(model.jnt_qposadr[body_joints(model, b)[0]]) for b in free),

@@ -74,9 +74,12 @@ def load_workcell(name_or_path: str | Path) -> Workcell:
     model = read_model(path)
     task = read_handling(path.with_suffix(".toml"))
     cell = compile_workcell(model, path.stem, task)
-    fixed_or_object = {g for g in range(model.ngeom)
-                       if model.body_weldid[model.geom_bodyid[g]] == 0
-                       or model.body_rootid[model.geom_bodyid[g]] in cell.source.layout.object_bodies}
+    fixed_or_object = {
+        g
+        for g in range(model.ngeom)
+        if model.body_weldid[model.geom_bodyid[g]] == 0
+        or model.body_rootid[model.geom_bodyid[g]] in cell.source.layout.object_bodies
+    }
     check_home(model, set(range(model.ngeom)) - fixed_or_object)
     home = home_qpos(model)
     poses = [home[a : a + 7] for a in cell.source.layout.object_qpos]

@@ -14,7 +14,8 @@ def _moved(shapes: Shapes, capsule_pose: Array, box_pose: Array) -> Shapes:
     """Shapes moved by one pose `[7]` each."""
     ends = capsule_pose[:, None, :3] + dq.quat_rotate(
         jnp.broadcast_to(capsule_pose[:, None, 3:], (*shapes.capsule_ends.shape[:2], 4)),
-        shapes.capsule_ends)
+        shapes.capsule_ends,
+    )
     centre = box_pose[:, :3] + dq.quat_rotate(box_pose[:, 3:], shapes.box_pose[:, :3])
     turn = dq.quat_mul(box_pose[:, 3:], shapes.box_pose[:, 3:])
     return shapes.replace(capsule_ends=ends, box_pose=jnp.concatenate([centre, turn], -1))
@@ -53,12 +54,16 @@ def attach(cell: Workcell, name: str, object_in_tool: Float[Array, "7"]) -> Work
     k = object_index(cell, name)
     capsules, boxes = ([i for i, o in enumerate(owner) if o == k] for owner in cell.source.owners)
     held = _select(cell.objects, capsules, boxes, cell.scene.payload)
-    held = _moved(held, jnp.broadcast_to(object_in_tool, (held.capsule_on.size, 7)),
-                  jnp.broadcast_to(object_in_tool, (held.box_on.size, 7)))
+    held = _moved(
+        held,
+        jnp.broadcast_to(object_in_tool, (held.capsule_on.size, 7)),
+        jnp.broadcast_to(object_in_tool, (held.box_on.size, 7)),
+    )
     objects = cell.scene.objects
     objects = objects.replace(
         capsule_on=objects.capsule_on.at[jnp.array(capsules, int)].set(0.0),
-        box_on=objects.box_on.at[jnp.array(boxes, int)].set(0.0))
+        box_on=objects.box_on.at[jnp.array(boxes, int)].set(0.0),
+    )
     return cell.replace(scene=cell.scene.replace(objects=objects, payload=held))
 
 
@@ -75,5 +80,4 @@ def with_support(cell: Workcell, bodies: tuple[str, ...]) -> Workcell:
             raise UnknownNameError("fixture", body, set(known))
     on = jnp.array([0.0 if b in bodies else 1.0 for b in known], jnp.float32)
     objects = jnp.ones(cell.scene.payload_support_on.size - on.size)
-    return cell.replace(
-        scene=cell.scene.replace(payload_support_on=jnp.concatenate([on, objects])))
+    return cell.replace(scene=cell.scene.replace(payload_support_on=jnp.concatenate([on, objects])))

@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: MIT
+"""The agents on toy worlds with known answers, and against exact oracles."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from brax.envs.base import Env, State
+
+from hybrid_jax.agents import dqn, ppo, switching
+from hybrid_jax.errors import TrainingError
+from hybrid_jax.kernels import dualquat as dq
+from hybrid_jax.skills.library import MAX_KEY_POSES, MAX_SKILLS
+from hybrid_jax.skills.segmentation import optimal_plan
+
+
+class Track(Env):
+    """Walk to the origin of a line: continuous or left/right. Solved when |x| < 0.1."""
+
+    def __init__(self, discrete=False, broken=False):
+        self.discrete, self.broken = discrete, broken
+
+    observation_size = 1
+    backend = "toy"
+
+    @property
+    def action_size(self):
+        return 2 if self.discrete else 1
+
+    def _state(self, x, count, reward, done, reached, truncated):
+        obs = jnp.stack([x])
+        return State(
+            {"x": x, "count": count},
+            obs,
+            jnp.float32(reward),
+            jnp.float32(done),
+            {"success": jnp.float32(reached)},
+            {"truncation": jnp.float32(truncated)},
+        )
+
+    def reset(self, rng):
+        x = jax.random.uniform(rng, (), jnp.float32, -1.0, 1.0)
+        return self._state(x, jnp.float32(0), 0.0, 0.0, 0.0, 0.0)
+
+    def step(self, state, action):
+        x, count = state.pipeline_state["x"], state.pipeline_state["count"] + 1
+        move = (2.0 * action - 1.0) if self.discrete else jnp.clip(action[0], -1, 1)
+        x_new = x + 0.15 * move
+        reached = jnp.abs(x_new) < 0.1
+        reward = jnp.abs(x) - jnp.abs(x_new) - 0.02 + reached
+        reward = jnp.where(self.broken, jnp.nan, reward)
+        truncated = (count >= 20) & ~reached
+        return self._state(x_new, count, reward, reached | truncated, reached, truncated)
+
+
+SMALL = ppo.PpoConfig(steps=40_000, envs=32, unroll=16, minibatch=128, hidden=(32,))
+
+
+@pytest.mark.parametrize("discrete", [False, True])
+def test_ppo_solves_a_line(discrete):
+    env = Track(discrete)
+    net = ppo.make_networks(1, env.action_size, SMALL.hidden, discrete)
+    seen = []
+    ppo.train(env, net, SMALL, report=lambda steps, state, m: seen.append(m.get("success", 0.0)))
+    assert np.mean(seen[-5:]) > 0.97 > np.mean(seen[:3]), seen
+
+
+def test_advantages_by_hand():
+    """Two steps, then the end of an episode: reached (no value beyond) or cut (value beyond)."""
+    reward, value = jnp.array([[1.0], [2.0]]), jnp.array([[0.5], [0.25]])
+    later, done = jnp.array([[0.25], [4.0]]), jnp.array([[0.0], [1.0]])
+    for terminated, last in ((1.0, 2.0 - 0.25), (0.0, 2.0 + 0.9 * 4.0 - 0.25)):
+        found = ppo.advantages(reward, value, later, done * terminated, done, 0.9, 0.8)
+        first = 1.0 + 0.9 * 0.25 - 0.5 + 0.9 * 0.8 * last
+        np.testing.assert_allclose(found[:, 0], [first, last], rtol=1e-6)
+
+
+def test_ppo_resumes_bit_for_bit():
+    env = Track()
+    net = ppo.make_networks(1, 1, SMALL.hidden, False)
+    short = ppo.PpoConfig(**{**SMALL.__dict__, "steps": 4 * 512})
+    kept = []
+    whole = ppo.train(env, net, short, report=lambda s, state, m: kept.append(state))
+    again = ppo.train(env, net, short, state=kept[1])
+    for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(again), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_ppo_stops_at_nan_and_says_where():
+    env = Track(broken=True)
+    net = ppo.make_networks(1, 1, SMALL.hidden, False)
+    with pytest.raises(TrainingError, match=r"step 512.*value_loss"):
+        ppo.train(env, net, SMALL)
+
+
+def test_ppo_configuration_is_checked():
+    with pytest.raises(ValueError, match="minibatch"):
+        ppo.PpoConfig(envs=3, unroll=5, minibatch=7)
+
+
+def toy_tasks(count, seed):
+    """Random key poses and costs with known shortest paths; a third of the skills inadmissible."""
+    rng = np.random.default_rng(seed)
+    poses = jax.vmap(dq.exp)(
+        jnp.asarray(rng.normal(scale=0.4, size=(count * MAX_KEY_POSES, 6)), jnp.float32)
+    )
+    cost = np.full((count, MAX_KEY_POSES, MAX_KEY_POSES, MAX_SKILLS), np.inf, np.float32)
+    base = np.random.default_rng(9).uniform(0.02, 0.3, (MAX_KEY_POSES, MAX_KEY_POSES, 4))
+    for a in range(4):
+        for b in range(a + 1, 5):
+            cost[:, a, b, :4] = base[a, b] + rng.uniform(0, 0.01, (count, 4))
+            cost[:, a, b, 3] = np.inf
+    return dqn.TaskBatch(
+        poses.reshape(count, MAX_KEY_POSES, 8), jnp.full(count, 5), jnp.asarray(cost)
+    )
+
+
+def test_hierarchical_dqn_comes_close_to_the_shortest_path():
+    tasks, config = toy_tasks(32, 0), dqn.DqnConfig(iterations=2000, learning_rate=1e-3)
+    state, _ = dqn.make_trainer(tasks, config, 2000)(dqn.initialize(tasks, config))
+    records, total = jax.jit(lambda p: dqn.greedy_plans(config, p, tasks))(state.params)
+    best = np.array([optimal_plan(np.asarray(tasks.cost[i]), 5)[1] for i in range(32)])
+    assert np.isfinite(total).all()
+    assert np.asarray(total).mean() < 1.1 * best.mean()
+    assert (np.asarray(records)[:, 0, 0] == 0).all()
+
+
+def test_an_inadmissible_skill_is_never_chosen():
+    tasks, config = toy_tasks(8, 1), dqn.DqnConfig()
+    tasks = tasks.replace(cost=tasks.cost.at[0].set(jnp.inf))
+    state = dqn.initialize(tasks, config)
+    _, total = dqn.greedy_plans(config, state.params, tasks)
+    assert np.isinf(total[0]) and np.isfinite(total[1:]).all()
+
+
+def toy_switching(seed, joints=3):
+    """A skill that collides in the middle and a joint motion that leads around."""
+    rng = np.random.default_rng(seed)
+    t = np.linspace(0, 1, switching.STEPS)[:, None]
+    skill = np.sin(2 * t + rng.uniform(0, 3, joints))
+    window = np.zeros(switching.STEPS)
+    first, last = 60 + rng.integers(0, 20), 130 + rng.integers(0, 20)
+    window[first:last] = 1
+    bump = np.zeros_like(t)
+    bump[first:last, 0] = np.sin(np.linspace(0, np.pi, last - first))
+    other = skill + 0.4 * bump
+    collision = np.stack([np.zeros(switching.STEPS), 1 - window])
+    collision[0, first + 10 : last - 10] = 1
+    man = rng.uniform(0.4, 0.6, (2, 1)) * np.ones((2, switching.STEPS))
+    return switching.Combined(
+        *(jnp.asarray(a, jnp.float32) for a in (np.stack([skill, other]), man, collision, window))
+    )
+
+
+def total_reward(data, choice, config):
+    """The reward of a sequence, added up step by step in plain Python."""
+    q, value, before, last = np.asarray(data.q), 0.0, 0, np.asarray(data.q)[0, 0]
+    points = np.asarray(switching.point_reward(data, config))
+    for t, c in enumerate(choice):
+        jump = np.abs(q[c, t] - last).max()
+        value += points[c, t] - config.jump * max(0.0, jump - config.allowed) / config.allowed
+        value -= config.switch * (c != before)
+        before, last = c, q[c, t]
+    return value
+
+
+def test_viterbi_is_worth_what_it_says_and_beats_random_choices():
+    config, rng = switching.SwitchConfig(), np.random.default_rng(0)
+    for seed in range(5):
+        data = toy_switching(seed)
+        choice, value = switching.optimal_switching(data, config)
+        assert total_reward(data, choice, config) == pytest.approx(value, abs=1e-2)
+        available = np.asarray(data.available) > 0
+        for _ in range(20):
+            a, b = np.sort(rng.integers(0, switching.STEPS, 2))
+            other = np.zeros(switching.STEPS, int)
+            other[a:b] = 1
+            assert total_reward(data, other * available, config) <= value + 1e-2
+
+
+def test_switching_agent_comes_close_to_viterbi():
+    config = switching.SwitchConfig(
+        training=ppo.PpoConfig(
+            steps=100_000,
+            envs=32,
+            unroll=50,
+            minibatch=400,
+            learning_rate=1e-3,
+            discount=0.96,
+            hidden=(32, 32),
+        )
+    )
+    problems = jax.tree.map(lambda *a: jnp.stack(a), *[toy_switching(s) for s in range(8)])
+    net = switching.make_net(3, config)
+    state = ppo.train(switching.SwitchEnv(problems, config), net, config.training)
+    policy = ppo.Policy(state.policy, state.normalizer)
+    choice, reward = switching.choose(net, policy, problems, config)
+    best = [switching.optimal_switching(toy_switching(s), config)[1] for s in range(8)]
+    assert np.mean(reward) > 0.95 * np.mean(best)
+    assert total_reward(toy_switching(0), np.asarray(choice[0]), config) == pytest.approx(
+        float(reward[0]), abs=0.05
+    )
