@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Compare methods on random scenes: `python -m hybrid_jax.evaluate --run DIR --trials N --out FILE`."""
+"""Compare methods on random scenes: `python -m hybrid_jax.evaluate --run DIR --out FILE`."""
 
 import time
 from pathlib import Path

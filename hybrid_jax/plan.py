@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Plan one task with a trained run: `python -m hybrid_jax.plan --run DIR --task FILE --out FILE`."""
+"""Plan a task with a trained run: `python -m hybrid_jax.plan --run DIR --task FILE --out FILE`."""
 
 from pathlib import Path
 

@@ -76,7 +76,7 @@ def print_summary(rows: list[tuple[str, float, dict]]) -> None:
 
 
 def run_cli(function) -> None:
-    """Call a command with the terminal's arguments; errors of ours are one sentence, exit code 2."""
+    """Call a command with the terminal's arguments; our errors are one sentence, exit code 2."""
     try:
         sys.exit(tyro.cli(function))
     except HybridJaxError as error:

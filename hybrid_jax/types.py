@@ -170,7 +170,7 @@ class Workcell:
 
 
 class WorkcellSource:
-    """Host-side half of a cell. Two loads of one file compare equal, so they share compiled code."""
+    """Host-side half of a cell. Two loads of one file are equal, so they share compiled code."""
 
     def __init__(self, *, name, digest, model, layout, task):
         self.name: str = name

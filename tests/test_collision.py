@@ -129,7 +129,8 @@ def test_gradient_agrees_with_finite_differences(tmp_path):
 
     (tmp_path / "small.xml").write_text("""<mujoco><worldbody>
       <geom type="box" size=".1 .1 .1" pos=".6 0 0"/><geom type="sphere" size=".1" pos="0 0 .9"/>
-      <body><joint name="a" axis="0 1 0" range="-3 3"/><geom type="capsule" size=".03" fromto="0 0 0 .3 0 0"/>
+      <body><joint name="a" axis="0 1 0" range="-3 3"/>
+      <geom type="capsule" size=".03" fromto="0 0 0 .3 0 0"/>
       <body pos=".3 0 0"><joint name="b" axis="0 1 0" range="-3 3"/>
       <geom type="capsule" size=".03" fromto="0 0 0 .1 0 0"/><site name="tool" pos=".1 0 0"/>
       </body></body></worldbody></mujoco>""")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The hierarchical DQN of RL-LfD: a task-controller picks the segment, a motion-controller the skill.
+"""The hierarchical DQN of RL-LfD: a task-controller picks segments, a motion-controller skills.
 
 Paper, section "Task-Space RL based LfD", Algorithm 2, and Kulkarni et al., arXiv:1604.06057. Many
 random tasks train at once in one compiled program. Choices that do not exist or exceed the
@@ -279,7 +279,7 @@ def make_trainer(tasks: TaskBatch, config: DqnConfig, chunk: int):
 
 
 def greedy_plans(config: DqnConfig, params, tasks: TaskBatch) -> tuple[Array, Array]:
-    """Greedy plans `[task, K - 1, 3]` (from, to, skill; -1 past the end) and costs (inf: dead end)."""
+    """Greedy plans `[task, K - 1, 3]` (from, to, skill; -1 past the end), costs (inf: dead end)."""
     nets = controllers(config)
 
     def one(poses, count, cost):

@@ -159,6 +159,6 @@ def clearance(cell: Workcell, q: Float[Array, "n"]) -> Float[Array, ""]:
 def edge_clearance(
     cell: Workcell, start: Float[Array, "n"], end: Float[Array, "n"], samples: int = 4
 ) -> Float[Array, ""]:
-    """Smallest clearance at `samples` evenly spaced configurations after `start` up to `end` [m]."""
+    """Smallest clearance at `samples` evenly spaced points after `start` up to `end` [m]."""
     phase = jnp.arange(1, samples + 1) / samples
     return jnp.min(jax.vmap(lambda s: clearance(cell, start + s * (end - start)))(phase))

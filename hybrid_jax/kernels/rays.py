@@ -110,6 +110,6 @@ def cast(
 
 @jax.jit
 def sense(cell: Workcell, pose: Float[Array, "8"]) -> Float[Array, "25"]:
-    """The sensor at a tool pose: ray lengths up to `RAY_RANGE` [m]; robot and payload are unseen."""
+    """Ray lengths up to `RAY_RANGE` [m] at a tool pose; robot and payload are unseen."""
     directions = jnp.asarray(_DIRECTIONS, pose.dtype) @ dq.quat_matrix(pose[:4]).T
     return jnp.minimum(cast(cell, dq.position(pose), directions), RAY_RANGE)

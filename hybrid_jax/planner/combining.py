@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""traj_comb: the skill's and the joint agent's motion on one grid, and what a choice makes of it."""
+"""traj_comb: the skill's and the joint agent's motion on one grid, and the choice between them"""
 
 import jax
 import jax.numpy as jnp

@@ -62,7 +62,7 @@ class Bridge:
     first: int
     """Last point of the feasible beginning: the joint agent starts here."""
     last: int
-    """First point of the feasible end: the joint agent's goal. Equal to `first` if nothing to do."""
+    """First point of the feasible end: the joint agent's goal; `first` if there is no gap."""
 
 
 def _judge(cell: Workcell, q: Array, found: Array, scale: Array, config: LabelConfig) -> Array:

@@ -63,7 +63,7 @@ def collision_geoms(model: mujoco.MjModel) -> list[int]:
         kind = int(model.geom_type[g])
         if kind not in (SPHERE, CAPSULE, BOX, PLANE):
             raise WorkcellError(
-                f"geom {geom_label(model, g)} is a {_G(kind).name.removeprefix('mjGEOM_').lower()}; "
+                f"geom {geom_label(model, g)} is a {_G(kind).name[7:].lower()}; "
                 "collision geoms must be spheres, capsules, boxes or planes. Approximate it with "
                 "those, or set contype and conaffinity to 0 if it is only for show."
             )

@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: MIT
+"""One form for all figures: key, value, unit, direction, device, note."""
+
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import jax
+
+
+def metric(key: str, value: float, unit: str, better: str, note: str = "") -> dict:
+    """One figure of this machine."""
+    device = f"{jax.devices()[0].device_kind}, jax {jax.__version__}"
+    return {"key": key, "value": value, "unit": unit, "better": better, "device": device,
+            "note": note}  # fmt: skip
+
+
+def rate(run: Callable[[], object], count: int, seconds: float = 2.0) -> tuple[float, float]:
+    """Items per second of `run`, which handles `count` of them, and the time of its first call."""
+    began = time.perf_counter()
+    jax.block_until_ready(run())
+    first = time.perf_counter() - began
+    calls, began = 0, time.perf_counter()
+    while time.perf_counter() - began < seconds:
+        jax.block_until_ready(run())
+        calls += 1
+    return calls * count / (time.perf_counter() - began), first
+
+
+def write(metrics: list[dict], path: Path | None) -> None:
+    """Print the figures as a table, and write them as JSON if a path is given."""
+    for m in metrics:
+        print(
+            f"{m['key']:36s} {m['value']:>12.4g} {m['unit']:4s} ({m['better']} is better)  {m['note']}"
+        )
+    if path:
+        path.write_text(json.dumps(metrics, indent=1) + "\n")

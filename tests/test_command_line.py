@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: MIT
+"""The commands as a user calls them: errors are sentences, runs can be resumed and opened."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from hybrid_jax import evaluate, plan, runfolder, train
+from hybrid_jax.errors import RunFolderError, UnknownNameError
+
+
+@pytest.fixture(scope="module")
+def run_folder(tmp_path_factory):
+    """A complete run of the smoke preset."""
+    folder = tmp_path_factory.mktemp("runs") / "smoke"
+    assert train.main(preset="smoke", out=folder, quiet=True) == 0
+    return folder
+
+
+def test_a_run_leaves_what_it_promises(run_folder):
+    names = {path.name for path in run_folder.iterdir()}
+    assert {
+        "config.json",
+        "map.npz",
+        "map.png",
+        "lfd.npz",
+        "lfd.png",
+        "lfd.jsonl",
+        "drl.npz",
+    } <= names
+    assert {
+        "drl.png",
+        "drl.jsonl",
+        "switch.npz",
+        "switch.png",
+        "demo.json",
+        "segments.npz",
+    } <= names
+    assert not any(name.endswith(("checkpoint.npz", ".partial.npz")) for name in names)
+
+
+def test_resume_does_only_what_is_missing(run_folder, capsys):
+    (run_folder / "lfd.npz").unlink()
+    before = (run_folder / "drl.npz").stat().st_mtime_ns
+    assert train.main(out=run_folder, resume=True, quiet=True) == 0
+    text = capsys.readouterr().out
+    assert "\nlfd " in text and "\nmap " not in text
+    assert (run_folder / "drl.npz").stat().st_mtime_ns == before
+
+
+def test_plan_writes_a_status_and_says_so_by_its_exit_code(run_folder, tmp_path):
+    (tmp_path / "task.json").write_text('{"object": "block_1", "scene_seed": 3}')
+    code = plan.main(run_folder, tmp_path / "task.json", tmp_path / "out.json")
+    out = json.loads((tmp_path / "out.json").read_text())
+    assert (code == 0) == (out["status"] == "OK") and (len(out["points"]) > 0) == (code == 0)
+
+
+def test_evaluate_writes_trials_and_metrics(run_folder, tmp_path):
+    path = tmp_path / "study.json"
+    assert evaluate.main(run_folder, path, trials=1, methods=("lfd", "drl")) == 0
+    out = json.loads(path.read_text())
+    assert [row["method"] for row in out["trials"]] == ["lfd", "drl"]
+    assert {"key", "value", "unit", "better", "device", "note"} == set(out["metrics"][0])
+
+
+def test_damaged_and_incomplete_runs_are_refused(run_folder, tmp_path):
+    with pytest.raises(RunFolderError, match="config.json is missing"):
+        runfolder.open_run(tmp_path)
+    config = json.loads((run_folder / "config.json").read_text())
+    (tmp_path / "config.json").write_text(json.dumps(config | {"digest": "0" * 64}))
+    with pytest.raises(RunFolderError, match="another version of cell"):
+        runfolder.open_run(tmp_path)
+    (tmp_path / "config.json").write_text(json.dumps(config))
+    from hybrid_jax.planner.loading import load_planner
+
+    with pytest.raises(RunFolderError, match="map.npz is missing"):
+        load_planner(runfolder.open_run(tmp_path))
+
+
+def test_a_second_run_does_not_overwrite_the_first(run_folder):
+    with pytest.raises(RunFolderError, match="already holds a run"):
+        train.main(preset="smoke", out=run_folder)
+
+
+def test_unknown_names_list_the_known_ones():
+    with pytest.raises(UnknownNameError, match="map"):
+        train.main(("mop",))
+    with pytest.raises(UnknownNameError, match="smoke"):
+        train.main(preset="huge")
+
+
+def test_errors_are_one_sentence_on_the_terminal():
+    done = subprocess.run(
+        [sys.executable, "-m", "hybrid_jax.train", "--workcell", "nowhere"],
+        capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+    assert "gen3_handling" in done.stderr
+
+
+def test_interrupt_keeps_a_checkpoint_that_resume_takes(tmp_path, monkeypatch, capsys):
+    """Ctrl-C in the middle of the joint agent's training."""
+    from hybrid_jax import stages
+    from hybrid_jax.agents import ppo
+
+    folder = tmp_path / "run"
+    run = runfolder.create_run("gen3_handling", "smoke", 0, folder)
+    real, seen = ppo.train, []
+
+    def interrupted(*args, report, **kwargs):
+        def stop(steps, state, metrics):
+            report(steps, state, metrics)
+            seen.append(steps)
+            if len(seen) == 2:
+                raise KeyboardInterrupt
+
+        return real(*args, report=stop, **kwargs)
+
+    monkeypatch.setattr(ppo, "train", interrupted)
+    toy = pytest.importorskip("test_agents")
+    net = ppo.make_networks(1, 1, toy.SMALL.hidden, False)
+    with pytest.raises(KeyboardInterrupt):
+        stages._train_ppo(run, "drl", toy.Track(), net, toy.SMALL, True)
+    assert (folder / "drl_checkpoint.npz").is_file()
+    monkeypatch.setattr(ppo, "train", real)
+    state = stages._train_ppo(run, "drl", toy.Track(), net, toy.SMALL, True)
+    assert int(state.iteration) == toy.SMALL.iterations
+    assert not (folder / "drl_checkpoint.npz").exists()
+    steps = [row["step"] for row in run.metrics("drl")]
+    assert steps == sorted(set(steps)) and len(steps) == toy.SMALL.iterations
