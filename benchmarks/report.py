@@ -31,8 +31,7 @@ def rate(run: Callable[[], object], count: int, seconds: float = 2.0) -> tuple[f
 def write(metrics: list[dict], path: Path | None) -> None:
     """Print the figures as a table, and write them as JSON if a path is given."""
     for m in metrics:
-        print(
-            f"{m['key']:36s} {m['value']:>12.4g} {m['unit']:4s} ({m['better']} is better)  {m['note']}"
-        )
+        better = f"({m['better']} is better)"
+        print(f"{m['key']:34s} {m['value']:>12.4g} {m['unit']:4s} {better:20s} {m['note']}")
     if path:
         path.write_text(json.dumps(metrics, indent=1) + "\n")

@@ -108,10 +108,10 @@ def test_skills_alone_do_not_get_around_the_wall(planner):
 
 
 def test_a_missing_demonstration_is_named(planner):
-    lifts = {n for n in planner.library.names if n.startswith(("lift", "carry"))}
-    poor = replace(planner, library=without(planner.library, lifts))
+    gone = {n for n in planner.library.names if n.startswith(("transfer", "carry"))}
+    poor = replace(planner, library=without(planner.library, gone))
     result = plan_motion(poor, random_task(planner.cell, 4), key=jax.random.key(0))
-    assert result.status is Status.NEED_DEMO and "key pose 1 to 2" in result.detail
+    assert result.status is Status.NEED_DEMO and "key pose 2 to 3" in result.detail
 
 
 def test_an_object_out_of_reach_is_infeasible_or_needs_a_demonstration(planner):

@@ -19,6 +19,8 @@ from hybrid_jax.types import Status
 
 def joint_agent_only(planner: pipeline.Planner, task: Task, *, key) -> pipeline.PlanResult:
     """Plan a task with the joint agent alone; checked like every plan."""
+    if planner.bridge is None:
+        raise ValueError("the planner has no joint agent")
     phases, start = [], np.asarray(planner.cell.home)
     for phase, (low, high) in enumerate(task.phases):
         carrying = task.carrying[low]
