@@ -213,24 +213,16 @@ def combined_problems(run: Run, quiet: bool) -> switching.Combined:
         found += combining.task_problems(planner, random_task(cell, TRAINING_TASKS + done), key)
         progress(done + 1, preset.switch_tasks)
     if not found:
-        raise ValueError("the joint agent bridged no training segment: train `drl` for longer")
+        print("switch: the joint agent bridged no training segment (train it for longer); the "
+              "switching agent sees the skills' motions alone")  # fmt: skip
+        found = combining.skill_problems(planner, random_task(cell, TRAINING_TASKS))
     return stack_scenes(found)
 
 
 def run_switch(run: Run, quiet: bool) -> dict:
     """Discrete PPO on combined trajectories (Algorithm 1, "Train Switching Agent")."""
     config = run.preset.switch
-    try:
-        problems = combined_problems(run, quiet)
-    except ValueError as error:
-        if run.preset_name != "smoke":
-            raise
-        print(f"switch: {error}; training on the skills' motions alone")
-        problems = stack_scenes(
-            combining.skill_problems(
-                load_planner(run, switch="optimal"), random_task(run.cell, TRAINING_TASKS)
-            )
-        )
+    problems = combined_problems(run, quiet)
     net = switching.make_net(run.cell.home.size, config)
     state = _train_ppo(
         run, "switch", switching.SwitchEnv(problems, config), net, config.training, quiet

@@ -172,7 +172,7 @@ class Workcell:
 class WorkcellSource:
     """Host-side half of a cell. Two loads of one file are equal, so they share compiled code."""
 
-    def __init__(self, *, name, digest, model, layout, task):
+    def __init__(self, *, name, digest, model, layout, task, owners, fixture_bodies):
         self.name: str = name
         self.digest: str = digest
         """Hash of everything the model was compiled from: it identifies the cell in files."""
@@ -181,6 +181,10 @@ class WorkcellSource:
         """`workcell.layout.Layout`: where joints, geoms and objects stand in the model."""
         self.task = task
         """`workcell.description.Handling` or None: objects, grasps and trays."""
+        self.owners: tuple[tuple[int, ...], tuple[int, ...]] = owners
+        """Object of each capsule and of each box of `Workcell.objects`."""
+        self.fixture_bodies: tuple[str, ...] = fixture_bodies
+        """Body of each box of `Workcell.fixtures`."""
 
     @property
     def joint_names(self) -> tuple[str, ...]:

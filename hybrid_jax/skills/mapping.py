@@ -6,7 +6,6 @@ of notation: `D` the demonstration, `D1'`, `Dn'` the new ends, `S = D1' D_1* D` 
 carried to the new start, `G = Dn' D_n* D` to the new goal.
 """
 
-import jax
 import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
@@ -124,7 +123,3 @@ def beta_euclidean(a: Float[Array, "8"], b: Float[Array, "8"], length: float = 0
 
 BETAS = {"screw": beta, "euclidean": beta_euclidean}
 """Distances by the name used in configurations."""
-
-
-map_skills = jax.jit(jax.vmap(aligned, (0, None, None)))
-"""`aligned` of many demonstrations `[skill, point, 8]` to one pair of ends."""

@@ -2,7 +2,7 @@
 """Tasks: ordered key poses with what the gripper does between them."""
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -190,8 +190,3 @@ def read_task(cell: Workcell, path: Path) -> Task:
     else:
         poses = sample_scene(cell, int(values.get("scene_seed", 0)))
     return handling_task(cell, values["object"], poses)
-
-
-def moved_objects(task: Task, poses: np.ndarray) -> Task:
-    """The same task in a scene where the objects lie elsewhere."""
-    return replace(task, object_poses=np.asarray(poses, np.float32))

@@ -220,7 +220,8 @@ def _digest(arrays, names, task) -> str:
     """Hash of what the kernels read, rounded so that it does not depend on the last bit."""
     total = hashlib.sha256(repr((names, task)).encode())
     for leaf in jax.tree.leaves(arrays):
-        total.update(np.round(np.asarray(leaf, np.float64), 5).astype(np.float32).tobytes())
+        rounded = np.round(np.asarray(leaf, np.float64), 5) + 0.0  # no negative zeros
+        total.update(rounded.astype(np.float32).tobytes())
     return total.hexdigest()
 
 
@@ -273,10 +274,15 @@ def compile_workcell(model: mujoco.MjModel, name: str, task: Handling | None) ->
         (layout.joint_names, layout.object_names, owners),
         task,
     )
-    source = WorkcellSource(name=name, digest=digest, model=model, layout=layout, task=task)
-    source.owners = owners
-    source.fixture_bodies = tuple(
-        model.body(model.geom_bodyid[p.geom]).name for p in fixtures if p.box
+    boxes = [p.geom for p in fixtures if p.box]
+    source = WorkcellSource(
+        name=name,
+        digest=digest,
+        model=model,
+        layout=layout,
+        task=task,
+        owners=owners,
+        fixture_bodies=tuple(model.body(model.geom_bodyid[g]).name for g in boxes),
     )
     return Workcell(
         chain=chain,
