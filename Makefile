@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 TRAIN_ARGS ?=
 
-.PHONY: train test check format wheel bench clean
+.PHONY: train test slow check format wheel bench clean
 
 .venv/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
@@ -15,6 +15,9 @@ train: .venv/.installed
 
 test: .venv/.installed
 	$(BIN)/python -m pytest
+
+slow: .venv/.installed
+	$(BIN)/python -m pytest -m slow
 
 check: .venv/.installed
 	$(BIN)/ruff check .

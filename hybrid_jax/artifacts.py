@@ -31,9 +31,11 @@ def save(path: Path, kind: str, digest: str, tree: Any, **header) -> None:
         header: further JSON values.
     """
     state = serialization.to_state_dict(jax.device_get(tree))
-    flat = traverse_util.flatten_dict(state, sep="/") if isinstance(state, dict) else {"": state}
-    flat = {k: np.asarray(v) for k, v in flat.items() if v is not None}
-    head = {"format": FORMAT, "kind": kind, "workcell": digest, **header}
+    flat = traverse_util.flatten_dict(state, keep_empty_nodes=True, sep="/")
+    # an optimiser's state has branches without arrays, which loading must find again
+    empty = [k for k, v in flat.items() if v is traverse_util.empty_node]
+    flat = {k: np.asarray(v) for k, v in flat.items() if k not in empty and v is not None}
+    head = {"format": FORMAT, "kind": kind, "workcell": digest, "empty": empty, **header}
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_suffix(".partial.npz")
     np.savez_compressed(partial, **{_HEADER: np.array(json.dumps(head))}, **flat)
@@ -63,6 +65,7 @@ def load(path: Path, kind: str, digest: str | None) -> tuple[dict, dict]:
         raise RunFolderError(
             f"{path} belongs to another work cell ({header['workcell'][:12]}, not {digest[:12]})"
         )
+    flat |= dict.fromkeys(header.get("empty", ()), traverse_util.empty_node)
     return header, traverse_util.unflatten_dict(flat, sep="/")
 
 

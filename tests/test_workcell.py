@@ -101,6 +101,7 @@ def test_the_straight_way_to_a_tray_collides(cell):
             assert any(inside)
 
 
+@pytest.mark.slow
 def test_collision_models_cover_the_real_links(cell, shared, tmp_path):
     """The checker of the reference data accepts arm and gripper."""
     import json
