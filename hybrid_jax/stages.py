@@ -194,7 +194,7 @@ def run_drl(run: Run, quiet: bool) -> dict:
         run.metrics("drl"),
         "DRL-Feasibility (PPO)",
         "environment steps",
-        ("success", "return"),
+        ("success", "reward"),
     )
     return {
         "segments": len(paths),
@@ -242,7 +242,7 @@ def run_switch(run: Run, quiet: bool) -> dict:
         run.metrics("switch"),
         "Switching agent (PPO)",
         "environment steps",
-        ("return", "success"),
+        ("reward", "success"),
     )
     return {
         "problems": count,

@@ -29,7 +29,7 @@ class PlannerConfig:
     skills: SkillConfig = SkillConfig()
     labels: LabelConfig = LabelConfig()
     finishing: timing.TimingConfig = timing.TimingConfig()
-    attempts: int = 4
+    attempts: int = 8
     """Ways through a phase that are tried, best first."""
 
 
