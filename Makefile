@@ -21,7 +21,7 @@ slow: .venv/.installed
 
 check: .venv/.installed
 	$(BIN)/ruff check .
-	$(BIN)/pyright
+	$(BIN)/pyright --pythonpath $(BIN)/python
 
 format: .venv/.installed
 	$(BIN)/ruff check --fix .
