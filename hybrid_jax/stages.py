@@ -242,7 +242,7 @@ def run_switch(run: Run, quiet: bool) -> dict:
         run.metrics("switch"),
         "Switching agent (PPO)",
         "environment steps",
-        ("reward", "success"),
+        ("reward",),
     )
     return {
         "problems": count,
