@@ -28,3 +28,7 @@ class TaskError(HybridJaxError):
 
 class TrainingError(HybridJaxError):
     """A training that diverged: the message names the step and the quantity that broke."""
+
+
+class MapError(HybridJaxError):
+    """A feasibility map that cannot be built as asked."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Inverse kinematics by damped least squares, for one pose and many seeds at once."""
+"""Inverse kinematics: every branch that many seeds of damped least squares find for a pose."""
 
 import functools
 from dataclasses import dataclass
@@ -9,8 +9,9 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, PRNGKeyArray
 
-from hybrid_jax.kernels import dualquat as dq
-from hybrid_jax.kernels.kinematics import frame_jacobian, joint_frames, tool_frame
+from hybrid_jax.kernels.collision import clearance
+from hybrid_jax.kernels.descent import descend
+from hybrid_jax.kernels.kinematics import jacobian
 from hybrid_jax.types import KinematicChain, Workcell, pytree
 
 
@@ -30,6 +31,13 @@ class IkConfig:
     """Largest position error of a solution [m]."""
     rotation_tolerance: float = 0.0087
     """Largest rotation error of a solution [rad] (0.5 deg)."""
+    clearance: float | None = None
+    """Clearance that solutions are pushed towards by self-motion, and that the chosen one keeps
+    if any does [m]; None leaves collisions out."""
+    push_steps: int = 12
+    """Steps of that self-motion."""
+    distinct: float = 0.1
+    """Solutions are the same branch if no joint differs by more [rad or m]."""
 
     def __post_init__(self):
         if self.seeds < 1 or self.iterations < 1:
@@ -52,45 +60,8 @@ class IkResult:
     """`[seed, joint]` end of every seed."""
     branch_found: Array
     """`[seed]` True where that end is a solution."""
-
-
-def pose_error(chain: KinematicChain, frames: Array, pose: Float[Array, "8"]) -> Float[Array, "6"]:
-    """Position error [m] and rotation vector [rad] from the tool to a pose, world axes."""
-    tool = tool_frame(chain, frames)
-    turn = dq.quat_mul(pose[:4], dq.quat_conj(tool[3:]))
-    return jnp.concatenate([dq.position(pose) - tool[:3], dq.quat_log(turn)])
-
-
-def _solve_damped(j: Float[Array, "6 n"], error: Float[Array, "6"], damping: Array) -> Array:
-    """`J^T (J J^T + damping)^-1 error`."""
-    gram = j @ j.T + damping * jnp.eye(6, dtype=j.dtype)
-    return j.T @ jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(gram), True), error)
-
-
-def descend(
-    chain: KinematicChain,
-    pose: Float[Array, "8"],
-    seed: Float[Array, "n"],
-    iterations: int,
-    max_step: float,
-    damping: float,
-) -> tuple[Array, Array]:
-    """Follow damped least-squares steps from a seed; joints stay within their limits.
-
-    Returns:
-        The configuration `[joint]` and its pose error `[6]`.
-    """
-
-    def step(_, q):
-        frames = joint_frames(chain, q)
-        error = pose_error(chain, frames, pose)
-        j = frame_jacobian(chain, frames, tool_frame(chain, frames)[:3])
-        move = _solve_damped(j, error, damping + 0.1 * jnp.sum(error * error))
-        scale = jnp.minimum(1.0, max_step / jnp.maximum(jnp.max(jnp.abs(move)), 1e-9))
-        return jnp.clip(q + scale * move, chain.limits[:, 0], chain.limits[:, 1])
-
-    q = jax.lax.fori_loop(0, iterations, step, seed)
-    return q, pose_error(chain, joint_frames(chain, q), pose)
+    branch_distinct: Array
+    """`[seed]` True for the first solution of each branch."""
 
 
 def random_configurations(
@@ -108,6 +79,40 @@ def _unwind(chain: KinematicChain, q: Array, reference: Array) -> Array:
     return jnp.where(inside, turned, q)
 
 
+def _meets(error: Float[Array, "*b 6"], config: IkConfig) -> tuple[Array, Array, Array]:
+    """Is it a solution, and its position and rotation error."""
+    position = jnp.linalg.norm(error[..., :3], axis=-1)
+    rotation = jnp.linalg.norm(error[..., 3:], axis=-1)
+    found = (position <= config.position_tolerance) & (rotation <= config.rotation_tolerance)
+    return found, position, rotation
+
+
+def _distinct(q: Float[Array, "seed n"], found: Array, apart: float) -> Array:
+    """True for solutions that no earlier solution resembles."""
+    near = jnp.max(jnp.abs(q[:, None] - q[None]), axis=-1) <= apart
+    return found & ~jnp.any(jnp.tril(near, -1) & found[None], axis=1)
+
+
+def _push_away(cell: Workcell, pose: Array, q: Array, config: IkConfig) -> tuple[Array, Array]:
+    """Move along the self-motion of the arm, up the slope of the clearance; and the pose error.
+
+    Each step aims at the wanted clearance, less what would move the tool, and lands on the pose
+    again with two steps of damped least squares.
+    """
+
+    def step(_, q):
+        gap, slope = jax.value_and_grad(clearance, argnums=1)(cell, q)
+        short = jnp.clip(config.clearance - gap, 0.0, 0.05)
+        move = slope * short / jnp.maximum(jnp.sum(slope * slope), 1e-6)
+        j = jacobian(cell, q)
+        tool = jnp.linalg.solve(j @ j.T + 1e-4 * jnp.eye(6), j @ move)
+        move = jnp.clip(move - j.T @ tool, -config.max_step, config.max_step)
+        return descend(cell.chain, pose, q + move, 2, config.max_step, config.damping)[0]
+
+    q = jax.lax.fori_loop(0, config.push_steps, step, q)
+    return descend(cell.chain, pose, q, 3, config.max_step, config.damping)
+
+
 @functools.partial(jax.jit, static_argnames="config")
 def solve_ik(
     cell: Workcell,
@@ -120,9 +125,10 @@ def solve_ik(
     """Configurations that bring the tool to a pose, from many seeds.
 
     Args:
-        cell: the robot; its collisions play no part here.
+        cell: the robot; its collisions count if `config.clearance` is given.
         pose: wanted tool pose in the world, unit dual quaternion.
-        reference: first seed, and what the chosen solution is nearest to; the cell's home if None.
+        reference: first seed (a warm start), and what the chosen solution is nearest to; the
+            cell's home if None.
         config: static settings.
         key: draws the other seeds; consumed.
     """
@@ -130,15 +136,23 @@ def solve_ik(
     reference = cell.home if reference is None else reference
     random = random_configurations(chain, config.seeds - 1, key)
     seeds = jnp.concatenate([reference[None], random])
-    q, error = jax.vmap(
-        lambda seed: descend(chain, pose, seed, config.iterations, config.max_step, config.damping)
-    )(seeds)
+    settings = (config.iterations, config.max_step, config.damping)
+    q, error = jax.vmap(lambda seed: descend(chain, pose, seed, *settings))(seeds)
+    gap = jnp.zeros(config.seeds)
+    if config.clearance is not None:
+        moved, moved_error = jax.vmap(lambda one: _push_away(cell, pose, one, config))(q)
+        gaps = jax.vmap(jax.vmap(clearance, (None, 0)), (None, 0))(cell, jnp.stack([q, moved]))
+        better = _meets(moved_error, config)[0] & (gaps[1] > gaps[0])
+        q, error = (
+            jnp.where(better[:, None], new, old) for new, old in ((moved, q), (moved_error, error))
+        )
+        gap = jnp.minimum(jnp.where(better, gaps[1], gaps[0]) - config.clearance, 0.0)
     q = jax.vmap(_unwind, (None, 0, None))(chain, q, reference)
-    position = jnp.linalg.norm(error[:, :3], axis=-1)
-    rotation = jnp.linalg.norm(error[:, 3:], axis=-1)
-    found = (position <= config.position_tolerance) & (rotation <= config.rotation_tolerance)
+    found, position, rotation = _meets(error, config)
     away = jnp.max(jnp.abs(q - reference), axis=-1)
-    best = jnp.argmin(jnp.where(found, away, 1e3 + position + 0.3 * rotation))
+    # first the pose, then the clearance that is missing, then the distance from the reference
+    score = jnp.where(found, away - 1e3 * gap, 1e6 + position + 0.3 * rotation)
+    best = jnp.argmin(score)
     return IkResult(
         q=q[best],
         found=found[best],
@@ -146,6 +160,7 @@ def solve_ik(
         rotation_error=rotation[best],
         branches=q,
         branch_found=found,
+        branch_distinct=_distinct(q, found, config.distinct),
     )
 
 
@@ -165,9 +180,6 @@ def track_poses(
 
     def step(q, pose):
         q, error = descend(cell.chain, pose, q, config.iterations, config.max_step, config.damping)
-        found = (jnp.linalg.norm(error[:3]) <= config.position_tolerance) & (
-            jnp.linalg.norm(error[3:]) <= config.rotation_tolerance
-        )
-        return q, (q, found)
+        return q, (q, _meets(error, config)[0])
 
     return jax.lax.scan(step, start, poses)[1]

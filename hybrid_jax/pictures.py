@@ -11,7 +11,8 @@ import matplotlib.pyplot as plt  # noqa: E402
 import mujoco  # noqa: E402
 import numpy as np  # noqa: E402
 
-from hybrid_jax.feasibility import FeasibilityMap, Reason  # noqa: E402
+from hybrid_jax.feasibility.building import FeasibilityMap  # noqa: E402
+from hybrid_jax.feasibility.judging import Reason  # noqa: E402
 from hybrid_jax.types import Workcell  # noqa: E402
 
 FPS = 12

@@ -7,8 +7,7 @@ from hybrid_jax.agents.dqn import DqnConfig
 from hybrid_jax.agents.joint import JointAgentConfig
 from hybrid_jax.agents.ppo import PpoConfig
 from hybrid_jax.agents.switching import SwitchConfig
-from hybrid_jax.feasibility import MapConfig
-from hybrid_jax.ik import IkConfig
+from hybrid_jax.feasibility.grid import MapConfig
 from hybrid_jax.planner.pipeline import PlannerConfig
 from hybrid_jax.skills.library import SkillConfig
 
@@ -74,9 +73,7 @@ PAPER = Preset(
 """The paper's tables, maps and distances; see docs/differences.md for what still differs."""
 
 SMOKE = Preset(
-    map=MapConfig(
-        spacing=0.3, tilts=(0.0,), yaws=(0.0,), ik=IkConfig(seeds=2, iterations=20), chunk=128
-    ),
+    map=MapConfig(spacing=0.3, tilts=(0.0,), yaws=(0.0,), batch=256),
     dqn=DqnConfig(iterations=500),
     joint=replace(
         JointAgentConfig(),

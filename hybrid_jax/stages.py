@@ -10,8 +10,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hybrid_jax import artifacts, feasibility, pictures
+from hybrid_jax import artifacts, pictures
 from hybrid_jax.agents import dqn, joint, ppo, switching
+from hybrid_jax.feasibility import building
+from hybrid_jax.feasibility.judging import Reason
 from hybrid_jax.planner import combining, harvest
 from hybrid_jax.planner.lfd import stack_scenes
 from hybrid_jax.planner.loading import load_planner, read_library, read_scale
@@ -36,13 +38,13 @@ Stage = Callable[[Run, bool], dict]
 def run_map(run: Run, quiet: bool) -> dict:
     """Feasibility map (Algorithm 1, line 3)."""
     progress = Progress("map", "poses", quiet)
-    fmap = feasibility.build_feasibility_map(
+    fmap = building.build_feasibility_map(
         run.cell, run.preset.map, seed=run.seed, progress=progress
     )
     pictures.draw_map(run.path("map.png"), fmap)
-    feasibility.save_map(run.path("map.npz"), run.cell, fmap)
-    counts = np.bincount(np.asarray(fmap.reason).ravel(), minlength=len(feasibility.Reason))
-    shares = {r.name.lower(): round(float(counts[r] / counts.sum()), 4) for r in feasibility.Reason}
+    building.save_map(run.path("map.npz"), run.cell, fmap)
+    counts = np.bincount(np.asarray(fmap.reason).ravel(), minlength=len(Reason))
+    shares = {r.name.lower(): round(float(counts[r] / counts.sum()), 4) for r in Reason}
     run.log("map", {"step": int(counts.sum()), **shares})
     return {"poses": int(counts.sum()), "feasible": shares["feasible"]}
 

@@ -52,67 +52,57 @@ class KinematicChain:
 
 @pytree
 class Shapes:
-    """Collision primitives in one frame. A sphere is a capsule of length zero.
+    """Collision primitives in one frame: boxes swept by a ball.
 
-    `capsule_on` and `box_on` are 0 for a slot that is empty: it is at distance infinity.
+    A capsule is a box without width (half extents `0, 0, l`) and a radius, a sphere one without
+    any extent, a plain box has radius 0. One kind of primitive serves every pair.
     """
 
-    capsule_ends: Array
-    """`[capsule, 2, 3]` end points of the axis [m]."""
-    capsule_radius: Array
-    """`[capsule]` [m]."""
-    capsule_on: Array
-    """`[capsule]` 1 or 0."""
-    box_pose: Array
-    """`[box, 7]` centre [m], quaternion."""
-    box_half: Array
-    """`[box, 3]` half extents [m]."""
-    box_on: Array
-    """`[box]` 1 or 0."""
+    pose: Array
+    """`[n, 7]` centre [m], quaternion."""
+    half: Array
+    """`[n, 3]` half extents of the box [m]."""
+    radius: Array
+    """`[n]` radius of the ball [m]."""
+    on: Array
+    """`[n]` 1, or 0 for a slot that is empty: it is at distance `FAR`."""
+    slim: int = struct.field(pytree_node=False)
+    """How many there are of capsules and spheres: they come first."""
+
+    @property
+    def count(self) -> int:
+        """How many primitives there are."""
+        return self.radius.shape[-1]
 
 
 @pytree
 class RobotShapes:
-    """Primitives that move with the arm: links, fingers, then the payload's slots."""
+    """Primitives of links and fingers; the payload's slots stand in the scene."""
 
     shapes: Shapes
-    """In the frame of the link that carries each."""
-    capsule_stroke: Array
-    """`[capsule, 3]` displacement per metre of gripper opening (fingers; else 0)."""
-    box_stroke: Array
-    """`[box, 3]` the same for boxes."""
-    capsule_link: tuple[int, ...] = struct.field(pytree_node=False)
-    """Joint whose frame carries each capsule."""
-    box_link: tuple[int, ...] = struct.field(pytree_node=False)
-    """The same for boxes."""
-    payload_capsules: int = struct.field(pytree_node=False)
-    """How many slots at the end of the capsules belong to the payload."""
-    payload_boxes: int = struct.field(pytree_node=False)
-    """The same for boxes."""
+    """In the frame of the link that carries each, sorted by link within capsules and boxes."""
+    stroke: Array
+    """`[n, 3]` displacement per metre of gripper opening (fingers; else 0)."""
+    link: tuple[int, ...] = struct.field(pytree_node=False)
+    """Joint whose frame carries each."""
 
 
 @pytree
 class ContactPairs:
-    """Which primitives may touch which. Masks are 1 where a pair counts."""
+    """Which primitives may touch which: 1 where a pair counts.
 
-    capsule_capsule: Array
-    """`[robot capsule, world capsule]`; world = fixtures, then objects."""
-    capsule_box: Array
-    """`[robot capsule, world box]`."""
-    capsule_plane: Array
-    """`[robot capsule, plane]`."""
-    box_capsule: Array
-    """`[robot box, world capsule]`."""
-    box_box: Array
-    """`[robot box, world box]`."""
-    box_plane: Array
-    """`[robot box, plane]`."""
-    self_capsules: tuple[tuple[int, int], ...] = struct.field(pytree_node=False)
-    """Pairs of robot capsules that may collide."""
-    self_boxes: tuple[tuple[int, int], ...] = struct.field(pytree_node=False)
-    """Pairs (robot box, robot capsule)."""
-    self_box_boxes: tuple[tuple[int, int], ...] = struct.field(pytree_node=False)
-    """Pairs of robot boxes."""
+    Rows are the robot's primitives and the payload's slots in the order of
+    `kernels.primitives.join`, columns the fixtures and objects in the same order.
+    """
+
+    world: Array
+    """`[row, column]`."""
+    own: Array
+    """`[row, cover]` against the robot's own primitives `cover`; each pair stands once."""
+    payload: Array
+    """`[row]` 1 for the slots of the payload."""
+    cover: tuple[int, ...] = struct.field(pytree_node=False)
+    """Rows that together belong to every pair of robot primitives that may touch."""
 
 
 @pytree
@@ -125,8 +115,8 @@ class Scene:
     """The grasped object, in the tool frame; all slots off when nothing is held."""
     opening: Array
     """Distance of each finger from the closed position [m]."""
-    payload_support_on: Array
-    """`[world box]` 0 where the payload may touch (the surface it is lifted from or put on)."""
+    support_on: Array
+    """`[fixture]` 0 where the payload may touch (the surface it is lifted from or put on)."""
 
 
 @pytree
@@ -137,8 +127,6 @@ class Workcell:
     robot: RobotShapes
     fixtures: Shapes
     """Everything welded to the world, in the world."""
-    planes: Array
-    """`[plane, 4]` unit normal and offset: a point p is in front where n.p > offset."""
     objects: Shapes
     """Movable objects, each in its own body's frame."""
     pairs: ContactPairs
@@ -181,10 +169,10 @@ class WorkcellSource:
         """`workcell.layout.Layout`: where joints, geoms and objects stand in the model."""
         self.task = task
         """`workcell.description.Handling` or None: objects, grasps and trays."""
-        self.owners: tuple[tuple[int, ...], tuple[int, ...]] = owners
-        """Object of each capsule and of each box of `Workcell.objects`."""
+        self.owners: tuple[int, ...] = owners
+        """Object of each primitive of `Workcell.objects`."""
         self.fixture_bodies: tuple[str, ...] = fixture_bodies
-        """Body of each box of `Workcell.fixtures`."""
+        """Body of each primitive of `Workcell.fixtures`."""
 
     @property
     def joint_names(self) -> tuple[str, ...]:

@@ -9,8 +9,8 @@ import oracles
 import pytest
 
 from hybrid_jax.kernels.collision import clearance, clearances, edge_clearance
-from hybrid_jax.workcell.compile import may_collide
-from hybrid_jax.workcell.scene import attach, with_opening, with_support
+from hybrid_jax.workcell.contacts import may_collide
+from hybrid_jax.workcell.scene import attach, detach, with_opening, with_support
 
 
 def robot_bodies(cell):
@@ -102,13 +102,12 @@ def low_configuration(cell):
 def test_open_fingers_are_wider(cell):
     q = cell.home
     wide, narrow = (with_opening(cell, o) for o in (0.0425, 0.0))
-    from hybrid_jax.kernels.collision import robot_shapes
-    from hybrid_jax.kernels.kinematics import joint_frames
+    from hybrid_jax.kernels.primitives import robot_rows
 
-    frames = joint_frames(cell.chain, q)
-    spans = [
-        np.ptp(np.asarray(robot_shapes(c, frames).capsule_ends)[:, 0, 0]) for c in (wide, narrow)
-    ]
+    spans = []
+    for one in (wide, narrow):
+        batch = jax.tree.map(lambda a: jnp.asarray(a)[None], one)
+        spans.append(np.ptp(np.asarray(robot_rows(batch, q[None])[0].centre)[0]))
     assert spans[0] > spans[1]
 
 
@@ -116,6 +115,41 @@ def test_an_edge_is_as_close_as_its_closest_sample(cell, configurations):
     a, b = (jnp.asarray(q) for q in configurations[:2])
     samples = [float(clearance(cell, a + s * (b - a))) for s in (0.25, 0.5, 0.75, 1.0)]
     assert float(edge_clearance(cell, a, b, 4)) == pytest.approx(min(samples), abs=1e-6)
+
+
+def test_a_large_batch_is_as_exact_as_every_pair(cell):
+    """The bounds of a batch choose what is measured; a small batch measures everything."""
+    low, high = np.asarray(cell.joint_limits).T
+    rng = np.random.default_rng(3)
+    q = jnp.asarray(rng.uniform(low, high, (1000, len(low))), jnp.float32)
+    batch = jax.jit(jax.vmap(lambda one: clearance(cell, one)))
+    few = jnp.concatenate([batch(q[i : i + 50]) for i in range(0, 1000, 50)])
+    np.testing.assert_allclose(batch(q), few, atol=1e-6)
+    parts = jax.jit(jax.vmap(lambda one: clearances(cell, one)))(q)
+    np.testing.assert_allclose(jnp.min(parts, axis=1), few, atol=1e-6)
+
+
+def test_scenes_and_configurations_batch_in_any_nest(cell, configurations):
+    """Each lane has its own scene: a payload of its own, objects of its own."""
+    held = [attach(cell, name, jnp.array([0, 0, 0.006, 0, 1, 0, 0.0])) for name in
+            ("block_1", "bolt_1", "hammer")]  # fmt: skip
+    scenes = jax.tree.map(lambda *a: jnp.stack(a), *(c.scene for c in held))
+    q = jnp.asarray(configurations[:30])
+    one = lambda scene, q: clearance(cell.replace(scene=scene), q)  # noqa: E731
+    got = jax.jit(jax.vmap(jax.vmap(one, (None, 0)), (0, None)))(scenes, q)
+    wanted = [[clearance(c, row) for row in q] for c in held]
+    np.testing.assert_allclose(got, wanted, atol=1e-6)
+    across = jax.jit(jax.vmap(jax.vmap(one, (0, None)), (None, 0)))(scenes, q)
+    np.testing.assert_allclose(across.T, wanted, atol=1e-6)
+
+
+def test_detach_undoes_attach(cell):
+    held = attach(cell, "block_2", jnp.array([0, 0, 0.006, 0, 1, 0, 0.0]))
+    pose = jnp.concatenate([jnp.array([0.49, -0.20, 0.020]), jnp.array([1.0, 0, 0, 0])])
+    put = detach(held, "block_2", pose)
+    q = jnp.asarray(cell.home)
+    assert float(clearance(put, q)) == pytest.approx(float(clearance(cell, q)), abs=1e-6)
+    np.testing.assert_array_equal(put.scene.objects.on, cell.scene.objects.on)
 
 
 def test_vmap_equals_the_loop(cell, configurations):

@@ -8,10 +8,11 @@ import numpy as np
 import oracles
 import pytest
 
-from hybrid_jax import feasibility
 from hybrid_jax.errors import RunFolderError
-from hybrid_jax.feasibility import MapConfig, Reason
-from hybrid_jax.ik import IkConfig, solve_ik
+from hybrid_jax.feasibility import building, lookup
+from hybrid_jax.feasibility.grid import MapConfig, poses_at
+from hybrid_jax.feasibility.judging import Reason
+from hybrid_jax.ik import solve_ik
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.kinematics import tool_pose
 from hybrid_jax.workcell.layout import home_qpos
@@ -22,14 +23,13 @@ CONFIG = MapConfig(
     spacing=0.2,
     tilts=(0.0, 0.6),
     yaws=(0.0, 0.75),
-    ik=IkConfig(seeds=4, iterations=30),
-    chunk=256,
+    batch=256,
 )
 
 
 @pytest.fixture(scope="module")
 def fmap(cell):
-    return feasibility.build_feasibility_map(cell, CONFIG)
+    return building.build_feasibility_map(cell, CONFIG)
 
 
 def test_reachable_poses_are_found(cell, configurations):
@@ -60,16 +60,16 @@ def test_feasible_poses_are_free_in_the_engine_too(cell, fmap):
     roots = {int(model.jnt_bodyid[j]) for j in layout.joints}
     for body in range(1, model.nbody):
         moved[body] = moved[model.body_parentid[body]] or body in roots
-    poses = feasibility.grid_poses(CONFIG)
+    positions, _ = poses_at(CONFIG, np.arange(CONFIG.size))
     reason = np.asarray(fmap.reason).ravel()
-    q = np.asarray(fmap.configuration).reshape(len(poses), -1)
+    q = np.asarray(fmap.configuration).reshape(CONFIG.size, -1)
     assert (reason == Reason.FEASIBLE).sum() > 20
     for index in np.flatnonzero(reason == Reason.FEASIBLE):
         data.qpos[:] = home_qpos(model)
         data.qpos[list(layout.qpos)] = q[index]
         mujoco.mj_forward(model, data)
         place = data.site_xpos[layout.tool_site]
-        assert np.linalg.norm(place - np.asarray(dq.position(jnp.asarray(poses[index])))) < 1.1e-3
+        assert np.linalg.norm(place - positions[index]) < 1.1e-3
         for contact in data.contact[: data.ncon]:
             bodies = [int(model.geom_bodyid[g]) for g in contact.geom]
             assert not (contact.dist < -1e-4 and any(moved[b] for b in bodies))
@@ -86,24 +86,22 @@ def test_query_and_nearest_feasible(fmap):
     i, j, k, r = np.argwhere(reason == Reason.FEASIBLE)[0]
     point = np.asarray(fmap.lower) + float(fmap.spacing) * np.array([i, j, k])
     pose = dq.from_parts(jnp.asarray(point, jnp.float32), fmap.orientations[r])
-    value, q = feasibility.query(fmap, pose)
+    value, q = lookup.query(fmap, pose)
     assert float(value) == pytest.approx(float(fmap.feasibility[i, j, k, r]), abs=1e-5)
     np.testing.assert_allclose(q, fmap.configuration[i, j, k, r])
-    np.testing.assert_allclose(
-        dq.position(feasibility.nearest_feasible(fmap, pose)), point, atol=1e-5
-    )
+    np.testing.assert_allclose(dq.position(lookup.nearest_feasible(fmap, pose)), point, atol=1e-5)
 
 
 def test_a_map_of_another_cell_is_refused(cell, fmap, tmp_path):
     path = tmp_path / "map.npz"
-    feasibility.save_map(path, cell, fmap)
-    again = feasibility.load_map(path, cell)
+    building.save_map(path, cell, fmap)
+    again = building.load_map(path, cell)
     np.testing.assert_array_equal(again.reason, fmap.reason)
     from hybrid_jax import artifacts
 
     artifacts.save(path, "feasibility map", "0" * 64, fmap)
     with pytest.raises(RunFolderError, match="another work cell"):
-        feasibility.load_map(path, cell)
+        building.load_map(path, cell)
     path.write_bytes(b"nonsense")
     with pytest.raises(RunFolderError, match="damaged"):
-        feasibility.load_map(path, cell)
+        building.load_map(path, cell)

@@ -25,10 +25,10 @@ def test_unknown_cells_name_the_known_ones():
 
 
 def test_a_geom_that_the_kernels_cannot_represent_is_named(tmp_path):
-    with pytest.raises(WorkcellError, match="'?drum"):
+    with pytest.raises(WorkcellError, match="'?egg"):
         load_text(
             tmp_path,
-            ARM.format(world='<geom name="drum" type="cylinder" size=".1 .1" pos="1 0 0"/>'),
+            ARM.format(world='<geom name="egg" type="ellipsoid" size=".1 .1 .2" pos="1 0 0"/>'),
         )
 
 

@@ -5,19 +5,41 @@ A `lax.scan` over the joints instead of an unrolled chain: XLA's CPU back end re
 sub-expressions of long element-wise chains, a scan materialises each frame once.
 """
 
+import functools
+
 import jax
 import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
+from hybrid_jax.kernels import components as co
 from hybrid_jax.kernels import dualquat as dq
+from hybrid_jax.kernels.symmetric import factor, gram
 from hybrid_jax.types import KinematicChain, Workcell
 
+_TINY = 1e-9
 
-def _compose(frame: Array, local: Array) -> Array:
-    """Frame times local frame, both `[7]`: position, quaternion."""
-    position = frame[:3] + dq.quat_rotate(frame[3:], local[:3])
-    return jnp.concatenate([position, dq.quat_mul(frame[3:], local[3:])])
+
+def _step(frame, joint):
+    """Frame of the next joint from the frame before it, by components."""
+    (position, quat), (offset, axis, hinge, motion) = frame, joint
+    position = co.add(position, co.quat_rotate(quat, offset[:3]))
+    quat = co.quat_mul(quat, offset[3:])
+    position = co.add(position, co.quat_rotate(quat, co.scale(axis, (1 - hinge) * motion)))
+    half = 0.5 * motion * hinge
+    quat = co.quat_mul(quat, (jnp.cos(half), *co.scale(axis, jnp.sin(half))))
+    return (position, quat), (position, quat)
+
+
+def scan_joints(chain: KinematicChain, q: Array):
+    """Frame of the last joint and of every joint, as (position, quaternion) by components.
+
+    Leaves of the chain are `[joint, ..., batch]`, `q` is `[joint, batch]`.
+    """
+    motion = q - chain.reference
+    base = [jnp.broadcast_to(c, motion.shape[1:]) for c in chain.base]
+    steps = (chain.offset, chain.axis, chain.hinge, motion)
+    return jax.lax.scan(_step, ((*base[:3],), (*base[3:],)), steps)
 
 
 def joint_frames(chain: KinematicChain, q: Float[Array, "n"]) -> Float[Array, "n 7"]:
@@ -25,17 +47,33 @@ def joint_frames(chain: KinematicChain, q: Float[Array, "n"]) -> Float[Array, "n
 
     A joint's frame sits on its axis and moves with it.
     """
+    position, quat = scan_joints(chain, q)[1]
+    return jnp.stack([*position, *quat], axis=-1)
 
-    def step(frame, joint):
-        offset, axis, hinge, motion = joint
-        frame = _compose(frame, offset)
-        half = 0.5 * motion * hinge
-        turn = jnp.concatenate([jnp.cos(half)[None], jnp.sin(half) * axis])
-        frame = _compose(frame, jnp.concatenate([(1 - hinge) * motion * axis, turn]))
-        return frame, frame
 
-    motion = q - chain.reference
-    return jax.lax.scan(step, chain.base, (chain.offset, chain.axis, chain.hinge, motion))[1]
+def link_frames(chain: KinematicChain, q: Float[Array, "b n"]) -> tuple[Array, Array]:
+    """Frames of all joints and of the tool, components first and batch last.
+
+    Args:
+        chain: leaves `[1 or b, ...]`.
+        q: configurations.
+
+    Returns:
+        Positions `[3, joint + 1, b]` [m] and rotations `[3, 3, joint + 1, b]`.
+    """
+    chain = jax.tree.map(lambda a: jnp.moveaxis(a, 0, -1), chain)
+    (position, quat), (positions, quats) = scan_joints(chain, q.T)
+    tool_position = co.add(position, co.quat_rotate(quat, chain.tool[:3]))
+    tool_quat = co.quat_mul(quat, chain.tool[3:])
+    quats = [jnp.concatenate([a, b[None]]) for a, b in zip(quats, tool_quat, strict=True)]
+    place = [jnp.concatenate([a, b[None]]) for a, b in zip(positions, tool_position, strict=True)]
+    return jnp.stack(place), co.stack(co.quat_matrix(quats))
+
+
+def _compose(frame: Array, local: Array) -> Array:
+    """Frame times local frame, both `[7]`: position, quaternion."""
+    position = frame[:3] + dq.quat_rotate(frame[3:], local[:3])
+    return jnp.concatenate([position, dq.quat_mul(frame[3:], local[3:])])
 
 
 def tool_frame(chain: KinematicChain, frames: Float[Array, "n 7"]) -> Float[Array, "7"]:
@@ -69,5 +107,8 @@ def jacobian(cell: Workcell, q: Float[Array, "n"]) -> Float[Array, "6 n"]:
 @jax.jit
 def manipulability(cell: Workcell, q: Float[Array, "n"]) -> Float[Array, ""]:
     """Yoshikawa's measure `sqrt(det(J J^T))` (paper, section "Integrated Feasibility Map")."""
-    j = jacobian(cell, q)
-    return jnp.sqrt(jnp.maximum(jnp.linalg.det(j @ j.T), 0.0))
+    matrix = gram(jacobian(cell, q))
+    for i in range(6):
+        matrix[i][i] = matrix[i][i] + _TINY  # pivots stay positive where the arm is singular
+    square = functools.reduce(jnp.multiply, factor(matrix)[1])
+    return jnp.sqrt(jnp.maximum(square, 0.0))

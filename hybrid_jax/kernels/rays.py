@@ -8,8 +8,8 @@ from jax import Array
 from jaxtyping import Float
 
 from hybrid_jax.kernels import dualquat as dq
-from hybrid_jax.kernels.collision import world_shapes
-from hybrid_jax.kernels.distance import dot, sub
+from hybrid_jax.kernels.components import dot, sub
+from hybrid_jax.kernels.primitives import world_shapes
 from hybrid_jax.types import Workcell
 
 RAY_COUNT = 25
@@ -79,14 +79,6 @@ def ray_box(origin, direction, pose: Float[Array, "7"], half: Array) -> Float[Ar
     return jnp.where((near <= far) & (far >= 0), jnp.where(near >= 0, near, far), jnp.inf)
 
 
-def ray_plane(origin, direction, plane: Float[Array, "4"]) -> Float[Array, ""]:
-    """Distance to the plane `n.p = offset` from its front; infinity for a miss."""
-    height, fall = dot(origin, plane) - plane[3], -dot(direction, plane)
-    facing = fall > 1e-9
-    t = height / jnp.where(facing, fall, 1.0)
-    return jnp.where(facing & (t >= 0), t, jnp.inf)
-
-
 def cast(
     cell: Workcell, origin: Float[Array, "3"], directions: Float[Array, "ray 3"]
 ) -> Float[Array, "ray"]:
@@ -102,10 +94,12 @@ def cast(
 
         return jax.lax.scan(step, best, (columns, on))[0] if on.size else best
 
+    capsules, boxes = slice(0, world.slim), slice(world.slim, None)
+    axis = dq.quat_rotate(world.pose[:, 3:], world.half * jnp.array([0.0, 0.0, 1.0]))
+    ends = jnp.stack([world.pose[:, :3] - axis, world.pose[:, :3] + axis], axis=1)
     best = jnp.full(directions.shape[0], jnp.inf, directions.dtype)
-    best = nearest(best, ray_capsule, (world.capsule_ends, world.capsule_radius), world.capsule_on)
-    best = nearest(best, ray_box, (world.box_pose, world.box_half), world.box_on)
-    return nearest(best, ray_plane, (cell.planes,), jnp.ones(cell.planes.shape[0]))
+    best = nearest(best, ray_capsule, (ends[capsules], world.radius[capsules]), world.on[capsules])
+    return nearest(best, ray_box, (world.pose[boxes], world.half[boxes]), world.on[boxes])
 
 
 @jax.jit

@@ -10,7 +10,7 @@ import numpy as np
 from hybrid_jax.planner.timing import densify, path_clearance
 from hybrid_jax.skills.task import Task
 from hybrid_jax.types import Trajectory, Workcell
-from hybrid_jax.workcell.compile import may_collide
+from hybrid_jax.workcell.contacts import may_collide
 
 MAX_STEP = 0.02
 """Joint distance between checked configurations [rad]."""

@@ -10,7 +10,7 @@ import numpy as np
 from hybrid_jax import artifacts
 from hybrid_jax.agents import dqn, joint, ppo, switching
 from hybrid_jax.errors import RunFolderError
-from hybrid_jax.feasibility import load_map
+from hybrid_jax.feasibility.building import load_map
 from hybrid_jax.planner.pipeline import Planner, Switcher
 from hybrid_jax.runfolder import Run
 from hybrid_jax.simulation.reach import ReachEnv

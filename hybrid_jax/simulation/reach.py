@@ -134,7 +134,7 @@ class ReachEnv(Env):
     def _loaded(self, cell: Workcell) -> Float[Array, ""]:
         """1 while an object is held."""
         payload = cell.scene.payload
-        return jnp.max(jnp.concatenate([payload.capsule_on, payload.box_on]), initial=0.0)
+        return jnp.max(payload.on, initial=0.0)
 
     def begin(self, segment: Array, q: Array) -> State:
         """Start a given problem from a given configuration."""

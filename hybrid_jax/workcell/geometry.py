@@ -6,44 +6,44 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
 from hybrid_jax.errors import WorkcellError
 from hybrid_jax.types import Shapes
+from hybrid_jax.workcell import approximation
+from hybrid_jax.workcell.poses import as_row, matrix_pose, pose_of
 
 _G = mujoco.mjtGeom
-SPHERE, CAPSULE, BOX, PLANE = (
-    int(g) for g in (_G.mjGEOM_SPHERE, _G.mjGEOM_CAPSULE, _G.mjGEOM_BOX, _G.mjGEOM_PLANE)
+SPHERE, CAPSULE, BOX, PLANE, CYLINDER, MESH = (
+    int(g)
+    for g in (
+        _G.mjGEOM_SPHERE,
+        _G.mjGEOM_CAPSULE,
+        _G.mjGEOM_BOX,
+        _G.mjGEOM_PLANE,
+        _G.mjGEOM_CYLINDER,
+        _G.mjGEOM_MESH,
+    )
 )
+PLANE_HALF = (50.0, 50.0, 5.0)
+"""Half extents of the box that stands for an infinite plane [m]: no work cell is larger."""
 
 
 @dataclass(frozen=True)
 class Primitive:
-    """One geom in the frame that carries it."""
+    """One primitive in the frame that carries it; a geom may need several."""
 
     geom: int
     pose: RigidTransform
-    size: np.ndarray
-    """Capsule: radius, half length; box: half extents."""
-    box: bool
+    half: tuple[float, float, float]
+    """Half extents of the box [m]."""
+    radius: float
+    """Radius of the ball that sweeps it [m]."""
 
-
-def pose_of(position, quat_wxyz) -> RigidTransform:
-    """SciPy pose from MuJoCo's position and quaternion."""
-    rotation = Rotation.from_quat(np.asarray(quat_wxyz, float), scalar_first=True)
-    return RigidTransform.from_components(np.asarray(position, float), rotation)
-
-
-def matrix_pose(position, matrix) -> RigidTransform:
-    """SciPy pose from MuJoCo's position and flat rotation matrix."""
-    return RigidTransform.from_components(
-        np.asarray(position, float), Rotation.from_matrix(np.asarray(matrix, float).reshape(3, 3))
-    )
-
-
-def as_row(pose: RigidTransform) -> np.ndarray:
-    """`[7]`: position, quaternion (w, x, y, z)."""
-    return np.concatenate([pose.translation, pose.rotation.as_quat(scalar_first=True)])
+    @property
+    def slim(self) -> bool:
+        """Is it a capsule or a sphere?"""
+        return self.half[0] == 0.0 and self.half[1] == 0.0
 
 
 def geom_label(model: mujoco.MjModel, geom: int) -> str:
@@ -61,47 +61,69 @@ def collision_geoms(model: mujoco.MjModel) -> list[int]:
     geoms = [g for g in range(model.ngeom) if model.geom_contype[g] or model.geom_conaffinity[g]]
     for g in geoms:
         kind = int(model.geom_type[g])
-        if kind not in (SPHERE, CAPSULE, BOX, PLANE):
+        if kind not in (SPHERE, CAPSULE, BOX, PLANE, CYLINDER, MESH):
             raise WorkcellError(
-                f"geom {geom_label(model, g)} is a {_G(kind).name[7:].lower()}; "
-                "collision geoms must be spheres, capsules, boxes or planes. Approximate it with "
-                "those, or set contype and conaffinity to 0 if it is only for show."
+                f"geom {geom_label(model, g)} is a {_G(kind).name[7:].lower()}; collision geoms "
+                "must be spheres, capsules, boxes, cylinders, planes or convex meshes. Approximate "
+                "it with those, or set contype and conaffinity to 0 if it is only for show."
             )
     return geoms
 
 
-def primitive(model, data, geom: int, frame: RigidTransform) -> Primitive:
-    """A geom expressed in `frame` at the configuration of `data`."""
-    world = matrix_pose(data.geom_xpos[geom], data.geom_xmat[geom])
-    size = model.geom_size[geom].copy()
-    kind = int(model.geom_type[geom])
+def _local(model, geom: int, tolerance: float) -> list[tuple]:
+    """Primitives of a geom in its own frame: (pose, half extents, radius)."""
+    kind, size = int(model.geom_type[geom]), model.geom_size[geom]
+    here = pose_of([0, 0, 0], [1, 0, 0, 0])
     if kind == SPHERE:
-        size[1] = 0.0
-    return Primitive(geom, frame.inv() * world, size, bool(kind == BOX))
+        return [(here, (0.0, 0.0, 0.0), size[0])]
+    if kind == CAPSULE:
+        return [(here, (0.0, 0.0, size[1]), size[0])]
+    if kind == BOX:
+        return [(here, tuple(size), 0.0)]
+    if kind == PLANE:
+        return [(pose_of([0, 0, -PLANE_HALF[2]], [1, 0, 0, 0]), PLANE_HALF, 0.0)]
+    if kind == CYLINDER:
+        return approximation.cylinder(size[0], size[1])
+    return approximation.convex_mesh(
+        _mesh_vertices(model, geom), tolerance, geom_label(model, geom)
+    )
 
 
-def plane_row(data, geom: int) -> np.ndarray:
-    """`[4]` unit normal and offset of a plane geom."""
-    normal = data.geom_xmat[geom].reshape(3, 3)[:, 2]
-    return np.append(normal, normal @ data.geom_xpos[geom])
+def _mesh_vertices(model, geom: int) -> np.ndarray:
+    """`[n, 3]` vertices of a mesh geom in the geom's frame."""
+    mesh = int(model.geom_dataid[geom])
+    first = int(model.mesh_vertadr[mesh])
+    return model.mesh_vert[first : first + int(model.mesh_vertnum[mesh])].astype(float)
 
 
-def to_shapes(primitives: list[Primitive], capsules: int = 0, boxes: int = 0) -> Shapes:
-    """Pack primitives into arrays, padded with empty slots up to the given counts."""
-    round_ones = [p for p in primitives if not p.box]
-    box_ones = [p for p in primitives if p.box]
-    capsules, boxes = max(capsules, len(round_ones)), max(boxes, len(box_ones))
-    ends, radius = np.zeros((capsules, 2, 3)), np.full(capsules, 1e-3)
-    pose, half = np.zeros((boxes, 7)), np.full((boxes, 3), 1e-3)
-    pose[:, 3] = 1.0
-    for i, p in enumerate(round_ones):
-        axis = np.array([0.0, 0.0, p.size[1]])
-        ends[i], radius[i] = p.pose.apply(np.stack([-axis, axis])), p.size[0]
-    for i, p in enumerate(box_ones):
-        pose[i], half[i] = as_row(p.pose), p.size
-    on = [
-        (np.arange(n) < len(used)).astype(np.float32)
-        for n, used in ((capsules, round_ones), (boxes, box_ones))
+def primitives(model, data, geom: int, frame: RigidTransform, tolerance: float) -> list[Primitive]:
+    """A geom expressed in `frame` at the configuration of `data`.
+
+    Args:
+        tolerance: how far the primitives of a mesh may stand out of its convex hull [m].
+    """
+    place = frame.inv() * matrix_pose(data.geom_xpos[geom], data.geom_xmat[geom])
+    return [
+        Primitive(geom, place * pose, tuple(float(h) for h in half), float(radius))
+        for pose, half, radius in _local(model, geom, tolerance)
     ]
-    arrays = [np.asarray(a, np.float32) for a in (ends, radius, on[0], pose, half, on[1])]
-    return Shapes(*(jnp.asarray(a) for a in arrays))
+
+
+def slim_first(ones: list[Primitive]) -> list[Primitive]:
+    """Capsules and spheres, then boxes."""
+    return [p for p in ones if p.slim] + [p for p in ones if not p.slim]
+
+
+def to_shapes(ones: list[Primitive], slots: tuple[int, int] = (0, 0)) -> Shapes:
+    """Pack primitives, capsules first, padded with empty slots (capsules, boxes)."""
+    slim, boxes = [p for p in ones if p.slim], [p for p in ones if not p.slim]
+    slots = max(slots[0], len(slim)), max(slots[1], len(boxes))
+    pose, half = np.zeros((sum(slots), 7)), np.zeros((sum(slots), 3))
+    radius, on = np.zeros(sum(slots)), np.zeros(sum(slots))
+    pose[:, 3] = 1.0
+    half[slots[0] :] = 1e-3
+    for first, some in ((0, slim), (slots[0], boxes)):
+        for i, p in enumerate(some, start=first):
+            pose[i], half[i], radius[i], on[i] = as_row(p.pose), p.half, p.radius, 1.0
+    arrays = [jnp.asarray(np.asarray(a, np.float32)) for a in (pose, half, radius, on)]
+    return Shapes(*arrays, slim=slots[0])

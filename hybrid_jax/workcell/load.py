@@ -12,7 +12,8 @@ from hybrid_jax.errors import WorkcellError
 from hybrid_jax.types import Workcell
 from hybrid_jax.workcell import geometry
 from hybrid_jax.workcell.assets import find_workcell
-from hybrid_jax.workcell.compile import compile_workcell, may_collide
+from hybrid_jax.workcell.compile import MESH_TOLERANCE, compile_workcell
+from hybrid_jax.workcell.contacts import may_collide
 from hybrid_jax.workcell.description import read_handling
 from hybrid_jax.workcell.layout import home_qpos
 from hybrid_jax.workcell.scene import place_objects
@@ -60,7 +61,7 @@ def check_home(model: mujoco.MjModel, robot_geoms: set[int]) -> None:
             )
 
 
-def load_workcell(name_or_path: str | Path) -> Workcell:
+def load_workcell(name_or_path: str | Path, *, mesh_tolerance: float = MESH_TOLERANCE) -> Workcell:
     """Load a work cell by the name of a shipped one or from an MJCF file.
 
     A file `CELL.toml` beside `CELL.xml` holds the task data (objects, grasps, trays). Joint
@@ -73,7 +74,7 @@ def load_workcell(name_or_path: str | Path) -> Workcell:
     path = find_workcell(name_or_path)
     model = read_model(path)
     task = read_handling(path.with_suffix(".toml"))
-    cell = compile_workcell(model, path.stem, task)
+    cell = compile_workcell(model, path.stem, task, mesh_tolerance)
     fixed_or_object = {
         g
         for g in range(model.ngeom)

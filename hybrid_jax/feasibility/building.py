@@ -1,0 +1,232 @@
+# SPDX-License-Identifier: MIT
+"""Build the map of a cell block by block: bounded memory, progress, and going on after a stop."""
+
+import hashlib
+import itertools
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from hybrid_jax import artifacts
+from hybrid_jax.errors import MapError
+from hybrid_jax.feasibility.flooding import Block, Field, Flood
+from hybrid_jax.feasibility.grid import MapConfig, nearest_cell, orientations
+from hybrid_jax.feasibility.judging import Judge, Level, Reason
+from hybrid_jax.types import Workcell, pytree
+
+_SCALE_SAMPLES = 65536
+_KIND = "feasibility map"
+_BLOCK = "block_{:05d}.npz"
+
+
+@pytree
+class FeasibilityMap:
+    """A built map; the grid axes come first: `[x, y, z, orientation]`."""
+
+    lower: Array
+    """`[3]` centre of the first voxel [m]."""
+    spacing: Array
+    """Edge of a voxel [m]."""
+    orientations: Array
+    """`[orientation, 4]` quaternions."""
+    feasibility: Array
+    """`fea` in [0, 1]: reachable * man' * collision-free; 0 where infeasible."""
+    reason: Array
+    """`Reason` of each pose, uint8."""
+    configuration: Array
+    """`[..., joint]` best configuration, a seed for IK; zeros where there is none."""
+    manipulability: Array
+    """Of that configuration."""
+    clearance: Array
+    """Of that configuration [m]; NaN where there is none."""
+    manipulability_scale: Array
+    """`man' = man / scale`: the 95th percentile over collision-free random configurations."""
+
+
+def blocks(config: MapConfig) -> Iterator[Block]:
+    """The grid cut into boxes of at most `config.slab` poses, along the longest axis first."""
+    *voxels, turns = config.shape
+    pieces = [1, 1, 1]
+
+    def longest():
+        return [-(-n // p) for n, p in zip(voxels, pieces, strict=True)]
+
+    while np.prod(longest()) * turns > config.slab and max(longest()) > 1:
+        pieces[int(np.argmax(longest()))] += 1
+    cuts = [np.linspace(0, n, p + 1).astype(int) for n, p in zip(voxels, pieces, strict=True)]
+    spans = [list(itertools.pairwise(c)) for c in cuts]
+    for box in itertools.product(*spans):
+        first = tuple(int(a) for a, _ in box)
+        yield Block(first, tuple(int(b - a) for a, b in box), turns)
+
+
+def map_bytes(config: MapConfig, joints: int) -> int:
+    """Size of a built map in memory."""
+    return config.size * (4 * joints + 4 + 4 + 4 + 1)
+
+
+def _refuse_too_large(config: MapConfig, joints: int) -> None:
+    wanted = map_bytes(config, joints)
+    there = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    if wanted > 0.5 * there:
+        raise MapError(
+            f"a map of {config.size:,} poses ({' x '.join(map(str, config.shape))}) takes "
+            f"{wanted / 2**30:.1f} GiB, more than half of this machine's {there / 2**30:.1f} GiB: "
+            "take a coarser spacing, fewer orientations or a smaller volume"
+        )
+
+
+def _fill(judge: Judge, block: Block, limits: np.ndarray, rng, progress) -> Field:
+    """Solve one block."""
+    config, flood = judge.config, Flood(judge, block, len(limits))
+    q = rng.uniform(*limits.T, (config.samples * block.size, len(limits))).astype(np.float32)
+    position, quat = judge.sample(q)
+    at = block.block_index(config, nearest_cell(config, position, quat))
+    at, which = np.unique(at, return_index=True)
+    seen = at >= 0
+    progress(0.05)
+    flood.seed(at[seen], q[which[seen]])
+    progress(0.15)
+    flood.spread(lambda share: progress(0.15 + 0.6 * share))
+    for k in range(config.restarts):
+        if not flood.restart(rng, limits):
+            break
+        flood.spread(lambda share, k=k: progress(0.75 + 0.25 * (k + share) / config.restarts))
+    return flood.field
+
+
+def _reasons(field: Field) -> np.ndarray:
+    """Levels to reasons; a collision is with what the best attempt is deepest in."""
+    reason = np.array([Reason.UNREACHABLE, Reason.JOINT_LIMIT, Reason.CELL_COLLISION,
+                       Reason.NEAR_SINGULAR, Reason.FEASIBLE], np.uint8)[field.level]  # fmt: skip
+    reason[(field.level == Level.REACHED) & field.own] = Reason.SELF_COLLISION
+    return reason
+
+
+def _scale(judge: Judge, limits: np.ndarray, rng) -> float:
+    """95th percentile of the manipulability of collision-free configurations."""
+    q = rng.uniform(*limits.T, (_SCALE_SAMPLES, len(limits))).astype(np.float32)
+    level, _, _, man, _ = judge.attempt(*judge.sample(q), q, 0)
+    free = man[level >= Level.FREE]
+    return float(np.percentile(free, 95)) if len(free) else 1.0
+
+
+def _fingerprint(cell: Workcell, config: MapConfig, seed: int) -> str:
+    return hashlib.sha256(repr((cell.source.digest, config, seed)).encode()).hexdigest()
+
+
+class _Partial:
+    """Finished blocks on disk, so that an interrupted build goes on where it stopped."""
+
+    def __init__(self, folder: Path | None, fingerprint: str):
+        self.folder, self.fingerprint = folder, fingerprint
+
+    def read(self, number: int) -> dict | None:
+        if not self.folder or not (path := self.folder / _BLOCK.format(number)).is_file():
+            return None
+        header, state = artifacts.load(path, "block of a map", None)
+        return state if header["workcell"] == self.fingerprint else None
+
+    def write(self, number: int, arrays: dict) -> None:
+        if self.folder:
+            path = self.folder / _BLOCK.format(number)
+            artifacts.save(path, "block of a map", self.fingerprint, arrays)
+
+    def discard(self) -> None:
+        if self.folder and self.folder.is_dir():
+            for path in self.folder.glob("block_*.npz"):
+                path.unlink()
+            self.folder.rmdir()
+
+
+def _solve_block(judge, block, limits, rng, progress) -> dict[str, np.ndarray]:
+    field = _fill(judge, block, limits, rng, progress)
+    known = field.level >= Level.REACHED
+    q = np.where(known[:, None], field.q, 0.0)
+    return {
+        "reason": _reasons(field),
+        "configuration": q.astype(np.float32),
+        "manipulability": np.where(known, field.man, 0.0).astype(np.float32),
+        "clearance": np.where(known, field.gap, np.nan).astype(np.float32),
+    }
+
+
+def _within(progress, done: int, size: int, total: int) -> Callable[[float], None]:
+    """Reporter of the share of one block that is done."""
+    return lambda share: progress(done + int(share * size), total) if progress else None
+
+
+def build_feasibility_map(
+    cell: Workcell,
+    config: MapConfig = MapConfig(),
+    *,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+    partial: Path | None = None,
+    devices=None,
+) -> FeasibilityMap:
+    """Judge every pose of the grid.
+
+    Args:
+        cell: robot, fixtures and the objects of its scene; a payload in the scene counts.
+        config: grid, thresholds and effort.
+        seed: draws the random configurations.
+        progress: called with (poses done, poses in all).
+        partial: folder for finished blocks. A build that was interrupted and is started again
+            with the same arguments goes on from them; it is removed at the end.
+        devices: JAX devices to share the work; all local ones by default.
+
+    Raises:
+        MapError: the map would not fit into memory; the message says how large it would be.
+    """
+    limits = np.asarray(cell.joint_limits, np.float64)
+    _refuse_too_large(config, len(limits))
+    judge = Judge(cell, config, devices)
+    scale = _scale(judge, limits, np.random.default_rng((seed, 0)))
+    judge.floor = np.float32(config.least_manipulability * scale)
+    stored = _Partial(partial, _fingerprint(cell, config, seed))
+    found, done = {}, 0
+    for number, block in enumerate(blocks(config)):
+        arrays = stored.read(number)
+        if arrays is None:
+            report = _within(progress, done, block.size, config.size)
+            rng = np.random.default_rng((seed, 1, number))
+            arrays = _solve_block(judge, block, limits, rng, report)
+            stored.write(number, arrays)
+        place = tuple(slice(f, f + n) for f, n in zip(block.first, block.count, strict=True))
+        for key, a in arrays.items():
+            whole = found.setdefault(key, np.empty((*config.shape, *a.shape[1:]), a.dtype))
+            whole[place] = a.reshape(*block.shape, *a.shape[1:])
+        done += block.size
+        if progress:
+            progress(done, config.size)
+    stored.discard()
+    share = np.clip(found["manipulability"] / scale, 0.0, 1.0)
+    fea = np.where(found["reason"] == Reason.FEASIBLE, share, 0.0)
+    return FeasibilityMap(
+        lower=jnp.array(config.lower, jnp.float32),
+        spacing=jnp.float32(config.spacing),
+        orientations=jnp.asarray(orientations(config), jnp.float32),
+        feasibility=jnp.asarray(fea, jnp.float32),
+        manipulability_scale=jnp.float32(scale),
+        **{k: jnp.asarray(a) for k, a in found.items()},
+    )
+
+
+def save_map(path: Path, cell: Workcell, fmap: FeasibilityMap) -> None:
+    """Write a map with its cell's hash."""
+    artifacts.save(path, _KIND, cell.source.digest, fmap)
+
+
+def load_map(path: Path, cell: Workcell) -> FeasibilityMap:
+    """Read a map.
+
+    Raises:
+        RunFolderError: missing, damaged, or the map of another cell.
+    """
+    _, state = artifacts.load(path, _KIND, cell.source.digest)
+    return FeasibilityMap(**{k: jnp.asarray(v) for k, v in state.items()})

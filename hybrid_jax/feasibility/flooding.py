@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: MIT
+"""Spread solutions over a block of the grid, from each pose to its neighbours.
+
+A neighbour's solution is a few steps away, where a random seed is dozens away and fails one time
+in four. Random configurations give the first solutions: each seeds the grid pose that its tool is
+nearest to. Then every pose tries the solution of each neighbour that has come further than it,
+until none is left to try: work is spent along the borders of the feasible set, where it decides.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from hybrid_jax.feasibility.grid import MapConfig, near_orientations, orientations, poses_at
+from hybrid_jax.feasibility.judging import Judge, Level
+
+
+@dataclass(frozen=True)
+class Block:
+    """A box of voxels with all orientations."""
+
+    first: tuple[int, int, int]
+    count: tuple[int, int, int]
+    turns: int
+
+    @property
+    def shape(self) -> tuple[int, int, int, int]:
+        return (*self.count, self.turns)
+
+    @property
+    def size(self) -> int:
+        """How many poses it has."""
+        return int(np.prod(self.shape))
+
+    def grid_index(self, config: MapConfig, index: np.ndarray) -> np.ndarray:
+        """Flat index in the grid of flat indices in the block."""
+        *voxel, turn = np.unravel_index(index, self.shape)
+        voxel = [v + f for v, f in zip(voxel, self.first, strict=True)]
+        return np.ravel_multi_index((*voxel, turn), config.shape)
+
+    def block_index(self, config: MapConfig, index: np.ndarray) -> np.ndarray:
+        """Flat index in the block of flat indices in the grid; -1 outside."""
+        *voxel, turn = np.unravel_index(np.maximum(index, 0), config.shape)
+        voxel = np.stack(voxel, axis=1) - np.array(self.first)
+        inside = (index >= 0) & np.all((voxel >= 0) & (voxel < self.count), axis=1)
+        flat = np.ravel_multi_index((*np.where(inside[:, None], voxel, 0).T, turn), self.shape)
+        return np.where(inside, flat, -1)
+
+
+class Field:
+    """The best attempt at each pose of a block."""
+
+    def __init__(self, block: Block, joints: int):
+        self.block = block
+        self.level = np.zeros(block.size, np.uint8)
+        self.q = np.zeros((block.size, joints), np.float32)
+        self.gap = np.full(block.size, -np.inf, np.float32)
+        self.man = np.zeros(block.size, np.float32)
+        self.own = np.zeros(block.size, bool)
+
+    def improve(self, index: np.ndarray, level, q, gap, man, own) -> None:
+        """Keep what is better than before; of equals in collision, the less deep one."""
+        old = self.level[index]
+        better = (level > old) | ((level == old) & (level == Level.REACHED)
+                                  & (gap > self.gap[index]))  # fmt: skip
+        at = index[better]
+        self.level[at], self.q[at] = level[better], q[better]
+        self.gap[at], self.man[at], self.own[at] = gap[better], man[better], own[better]
+
+
+class Flood:
+    """Fill one block."""
+
+    def __init__(self, judge: Judge, block: Block, joints: int):
+        self.judge, self.config, self.block = judge, judge.config, block
+        self.field = Field(block, joints)
+        turns = orientations(self.config)
+        self._near = near_orientations(turns, self.config.turns)
+        self._tried = np.zeros((6 + self._near.shape[1], *block.shape), np.uint8)
+        self.attempts = 0
+        """Attempts made so far."""
+
+    def _their_level(self, way: int) -> np.ndarray:
+        """Level of each pose's neighbour in one direction, in the block's shape; 0 beyond it."""
+        level = self.field.level.reshape(self.block.shape)
+        if way >= 6:
+            return level[..., self._near[:, way - 6]]
+        axis, forward = way // 2, way % 2 == 0
+        theirs = np.zeros_like(level)
+        inner, outer = slice(None, -1), slice(1, None)
+        here, there = (inner, outer) if forward else (outer, inner)
+        lead = (slice(None),) * axis
+        theirs[(*lead, here)] = level[(*lead, there)]
+        return theirs
+
+    def _neighbour(self, index: np.ndarray, way: np.ndarray) -> np.ndarray:
+        """Flat index of the neighbour of some poses, each in its own direction."""
+        *voxel, turn = np.unravel_index(index, self.block.shape)
+        for axis in range(3):
+            voxel[axis] = voxel[axis] + (way == 2 * axis) - (way == 2 * axis + 1)
+        near = self._near[turn, np.maximum(way - 6, 0)] if self._near.shape[1] else turn
+        return np.ravel_multi_index((*voxel, np.where(way >= 6, near, turn)), self.block.shape)
+
+    def _choose(self) -> tuple[np.ndarray, np.ndarray]:
+        """Poses that have a neighbour to try, and that neighbour."""
+        level = self.field.level.reshape(self.block.shape)
+        way = np.full(self.block.shape, -1, np.int8)
+        for k, tried in enumerate(self._tried):
+            theirs = self._their_level(k)
+            useful = (theirs > level) & (theirs > tried) & (way < 0)
+            way[useful], tried[useful] = k, theirs[useful]
+        index = np.flatnonzero(way >= 0)
+        return index, self._neighbour(index, way.ravel()[index])
+
+    def _poses(self, index: np.ndarray):
+        return poses_at(self.config, self.block.grid_index(self.config, index))
+
+    def _try(self, index: np.ndarray, seed: np.ndarray, iterations: int) -> None:
+        self.attempts += len(index)
+        self.field.improve(index, *self.judge.attempt(*self._poses(index), seed, iterations))
+
+    def _stretch(self, index: np.ndarray, seed: np.ndarray, iterations: int) -> None:
+        self.attempts += len(index)
+        self.field.improve(index, *self.judge.stretch(*self._poses(index), seed, iterations))
+
+    def seed(self, index: np.ndarray, q: np.ndarray) -> None:
+        """Try configurations at poses that they are near to."""
+        self._try(index, q, self.config.near_iterations)
+
+    def restart(self, rng: np.random.Generator, limits: np.ndarray) -> int:
+        """Try a random seed at every pose that is reached but not feasible; how many there are."""
+        level = self.field.level
+        index = np.flatnonzero((level == Level.REACHED) | (level == Level.FREE))
+        if len(index):
+            seed = rng.uniform(*limits.T, (len(index), len(limits))).astype(np.float32)
+            self._try(index, seed, self.config.ik.iterations)
+        return len(index)
+
+    def _cycle(self) -> int:
+        """Every pose that can learn from a neighbour tries one; how many did."""
+        field, iterations = self.field, self.config.near_iterations
+        index, neighbour = self._choose()
+        seed, inside = field.q[neighbour], field.level[neighbour] >= Level.REACHED
+        if inside.any():
+            self._try(index[inside], seed[inside], iterations)
+        missing = field.level[index] == Level.NOTHING
+        if missing.any():
+            self._stretch(index[missing], seed[missing], iterations)
+        return len(index)
+
+    def spread(self, progress: Callable[[float], None]) -> None:
+        """Go on until no pose has a neighbour left to try."""
+        cycle = 0
+        while self._cycle():
+            cycle += 1
+            progress(1 - 0.9**cycle)

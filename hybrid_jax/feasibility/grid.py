@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: MIT
+"""Which poses a map covers: voxels along x, y, z times tool orientations."""
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from hybrid_jax.ik import IkConfig
+
+
+@dataclass(frozen=True)
+class MapConfig:
+    """Grid, thresholds and effort of the map."""
+
+    lower: tuple[float, float, float] = (-0.1, -0.75, 0.05)
+    """Centre of the first voxel [m]."""
+    upper: tuple[float, float, float] = (0.75, 0.75, 0.75)
+    """No centre beyond this [m]."""
+    spacing: float = 0.1
+    """Edge of a voxel [m]."""
+    orientations: int | None = None
+    """Tool orientations, spread evenly over SO(3); None for the Euler box below."""
+    tilts: tuple[float, ...] = (-0.6, 0.0, 0.6)
+    """Euler angles about the tool's x and y axes, from pointing down [rad]."""
+    yaws: tuple[float, ...] = (-1.5, -0.75, 0.0, 0.75)
+    """Euler angles about the vertical [rad]."""
+    ik: IkConfig = IkConfig(iterations=30)
+    """Tolerances and steps of the inverse kinematics; `iterations` from a random seed."""
+    near_iterations: int = 8
+    """Steps from the solution of a neighbouring pose."""
+    samples: int = 4
+    """Random configurations drawn for each pose of the grid, as first seeds."""
+    restarts: int = 1
+    """Attempts from random seeds at each pose that is reachable but not yet feasible."""
+    turns: int = 6
+    """Orientations that count as neighbours of each."""
+    margin: float = 0.0
+    """Clearance that a feasible configuration keeps [m]."""
+    least_manipulability: float = 0.1
+    """Smallest `man'` of a feasible pose, as a share of the 95th percentile."""
+    batch: int = 4096
+    """Poses per call of the compiled programs."""
+    slab: int = 4_000_000
+    """At most so many poses are worked on at a time; memory is bounded by this."""
+
+    def __post_init__(self):
+        if self.spacing <= 0 or any(u < v for u, v in zip(self.upper, self.lower, strict=True)):
+            raise ValueError(
+                f"the grid is empty: lower {self.lower}, upper {self.upper}, spacing {self.spacing}"
+            )
+        if self.orientations is not None and self.orientations < 1:
+            raise ValueError(f"orientations must be at least 1 or None, got {self.orientations}")
+
+    @property
+    def shape(self) -> tuple[int, int, int, int]:
+        """Voxels along x, y, z and orientations."""
+        counts = [
+            int((u - v) / self.spacing + 1e-6) + 1
+            for u, v in zip(self.upper, self.lower, strict=True)
+        ]
+        turns = self.orientations or len(self.tilts) ** 2 * len(self.yaws)
+        return counts[0], counts[1], counts[2], turns
+
+    @property
+    def size(self) -> int:
+        """How many poses there are."""
+        return int(np.prod(self.shape))
+
+
+def even_orientations(count: int) -> np.ndarray:
+    """`[count, 4]` quaternions spread evenly over SO(3).
+
+    Super-Fibonacci spirals (Alexa 2022, "Super-Fibonacci Spirals: Fast, Low-Discrepancy Sampling
+    of SO(3)"): psi is the root of psi^4 = psi + 4.
+    """
+    phi, psi = np.sqrt(2.0), 1.533751168755204288118041
+    s = np.arange(count) + 0.5
+    inner, outer = np.sqrt(s / count), np.sqrt(1 - s / count)
+    a, b = 2 * np.pi * s / phi, 2 * np.pi * s / psi
+    return np.stack(
+        [inner * np.sin(a), inner * np.cos(a), outer * np.sin(b), outer * np.cos(b)], axis=1
+    )
+
+
+def down_orientations(config: MapConfig) -> np.ndarray:
+    """`[orientation, 4]` tool-down orientations turned over the Euler box of the configuration."""
+    angles = list(itertools.product(config.yaws, config.tilts, config.tilts))
+    turns = Rotation.from_euler("ZXY", angles) * Rotation.from_euler("x", np.pi)
+    return turns.as_quat(scalar_first=True)
+
+
+def orientations(config: MapConfig) -> np.ndarray:
+    """`[orientation, 4]` quaternions of the grid."""
+    if config.orientations is None:
+        return down_orientations(config)
+    return even_orientations(config.orientations)
+
+
+def axes(config: MapConfig) -> list[np.ndarray]:
+    """Centres of the voxels along x, y and z [m]."""
+    return [config.lower[i] + config.spacing * np.arange(config.shape[i]) for i in range(3)]
+
+
+def poses_at(config: MapConfig, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Positions `[n, 3]` and quaternions `[n, 4]` of grid poses by flat index, float32."""
+    *voxel, turn = np.unravel_index(index, config.shape)
+    centres = axes(config)
+    position = np.stack([centres[i][voxel[i]] for i in range(3)], axis=1)
+    return position.astype(np.float32), orientations(config)[turn].astype(np.float32)
+
+
+def near_orientations(quats: np.ndarray, count: int) -> np.ndarray:
+    """`[orientation, count]` the nearest other orientations of each, nearest first."""
+    likeness = np.abs(quats @ quats.T)
+    np.fill_diagonal(likeness, -1.0)
+    return np.argsort(-likeness, axis=1)[:, : min(count, len(quats) - 1)]
+
+
+def nearest_cell(config: MapConfig, position: np.ndarray, quat: np.ndarray) -> np.ndarray:
+    """Flat index of the grid pose nearest to each pose; -1 outside the volume."""
+    voxel = np.round((position - np.array(config.lower)) / config.spacing).astype(int)
+    inside = np.all((voxel >= 0) & (voxel < config.shape[:3]), axis=1)
+    turns = orientations(config).astype(np.float32)
+    turn = np.argmax(np.abs(quat.astype(np.float32) @ turns.T), axis=1)
+    voxel = np.where(inside[:, None], voxel, 0)
+    flat = np.ravel_multi_index((*voxel.T, turn), config.shape)
+    return np.where(inside, flat, -1)
