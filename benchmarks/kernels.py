@@ -1,6 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Rates of the kernels on the handling cell, beside C MuJoCo on one thread in the same run."""
+"""Kernels on the handling cell, beside C MuJoCo, MJX and PyBullet in the same run."""
 
+import functools
+import subprocess
+import sys
+import tempfile
+import time
 from pathlib import Path
 
 import jax
@@ -9,56 +14,194 @@ import mujoco
 import numpy as np
 import tyro
 
+from benchmarks import rivals
 from benchmarks.report import metric, rate, write
+from hybrid_jax.devices import Spread, use_all_cores
 from hybrid_jax.ik import solve_ik
-from hybrid_jax.kernels.collision import clearance
+from hybrid_jax.kernels import collision
+from hybrid_jax.kernels.batching import CPU_CHUNK
 from hybrid_jax.kernels.kinematics import tool_pose
 from hybrid_jax.kernels.rays import sense
-from hybrid_jax.workcell.layout import home_qpos
+from hybrid_jax.workcell.contacts import may_collide
 from hybrid_jax.workcell.load import load_workcell
 
-BATCH = 2048
+CELL = "gen3_handling"
+BATCH = 65536
+SIGNS = 100_000
+BAND = 1e-4
+"""Clearances nearer to zero than this are left out of the comparison of signs [m]."""
 
 
-def engine(cell, q: np.ndarray) -> int:
-    """Kinematics and collision of C MuJoCo, configuration after configuration."""
-    model, data = cell.model, mujoco.MjData(cell.model)
-    data.qpos[:] = home_qpos(model)
-    address, contacts = list(cell.source.layout.qpos), 0
-    for row in q:
-        data.qpos[address] = row
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        mujoco.mj_collision(model, data)
-        contacts += data.ncon
-    return contacts
-
-
-def main(json: Path | None = None) -> None:
-    """Measure and print; write JSON if asked to."""
-    cell = load_workcell("gen3_handling")
+def configurations(cell, count: int, seed: int = 0) -> np.ndarray:
+    """Random configurations within the limits."""
     low, high = np.asarray(cell.joint_limits).T
-    q = np.random.default_rng(0).uniform(low, high, (BATCH, len(low))).astype(np.float32)
-    over = lambda f: jax.jit(jax.vmap(f))  # noqa: E731
-    pose, gap, rays = (over(lambda x, f=f: f(cell, x)) for f in (tool_pose, clearance, sense))
-    poses = pose(q)
-    keys = jax.random.split(jax.random.key(0), 256)
-    solve = over(lambda p, k: solve_ik(cell, p, key=k))
-    ours, first = rate(lambda: gap(q), BATCH)
-    rival, _ = rate(lambda: engine(cell, q[:512]), 512)
-    found = float(jnp.mean(solve(poses[:256], keys).found))
-    write(
-        [
-            metric("kernels.fk", rate(lambda: pose(q), BATCH)[0], "1/s", "higher"),
-            metric("kernels.clearance", ours, "1/s", "higher", f"first call {first:.1f} s"),
-            metric("kernels.mujoco_one_thread", rival, "1/s", "higher", "Python loop"),
-            metric("kernels.clearance_vs_mujoco", ours / rival, "1", "higher"),
-            metric("kernels.rays", rate(lambda: rays(poses), BATCH)[0], "1/s", "higher", "25 each"),
-            metric("kernels.ik", rate(lambda: solve(poses[:256], keys), 256)[0], "1/s", "higher",
-                   f"16 seeds, {found:.3f} found"),
-        ],
-        json,
-    )  # fmt: skip
+    rng = np.random.default_rng(seed)
+    return rng.uniform(low, high, (count, len(low))).astype(np.float32)
+
+
+def arithmetic_peak() -> float:
+    """Floating point operations per second of a large product of matrices, all cores."""
+    n = 2048
+    a = jnp.ones((n, n), jnp.float32)
+    product = jax.jit(lambda a: a @ a)
+    return rate(lambda: product(a), 1)[0] * 2 * n**3
+
+
+def operations(cell) -> float:
+    """Floating point operations of one clearance: bounds of all pairs, exact for the nearest."""
+    batch = jax.tree.map(lambda a: jnp.asarray(a)[None], cell)
+    kernel = functools.partial(collision._kernel, parts="all", every=False)
+    q = jnp.zeros((CPU_CHUNK, cell.home.size))
+    cost = jax.jit(lambda q: kernel(batch, q).distance).lower(q).compile().cost_analysis()
+    return cost["flops"] / CPU_CHUNK
+
+
+FIRST_CALL = """
+import time
+began = time.perf_counter()
+import jax
+jax.config.update("jax_compilation_cache_dir", {folder!r})
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+import hybrid_jax
+cell = hybrid_jax.load_workcell("gen3_handling")
+loaded = time.perf_counter()
+hybrid_jax.clearance(cell, cell.home).block_until_ready()
+print(time.perf_counter() - loaded)
+"""
+
+
+def first_calls() -> list[float]:
+    """Seconds of the first call of `clearance` in a new process: empty cache, then filled."""
+    with tempfile.TemporaryDirectory() as folder:
+        code = FIRST_CALL.format(folder=folder)
+        runs = [subprocess.run([sys.executable, "-c", code], capture_output=True, text=True,
+                               check=True) for _ in range(2)]  # fmt: skip
+    return [float(run.stdout.split()[-1]) for run in runs]
+
+
+def axis_crosses(model, data, a: int, b: int) -> bool:
+    """Does the axis of a capsule run through a box? Densely sampled, float64."""
+    kinds = {int(model.geom_type[g]): g for g in (a, b)}
+    box, capsule = (int(g) for g in (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CAPSULE))
+    if box not in kinds or capsule not in kinds:
+        return False
+    c, x = kinds[capsule], kinds[box]
+    axis = data.geom_xmat[c].reshape(3, 3)[:, 2] * model.geom_size[c, 1]
+    along = data.geom_xpos[c] + np.linspace(-1, 1, 2001)[:, None] * axis
+    local = (along - data.geom_xpos[x]) @ data.geom_xmat[x].reshape(3, 3)
+    return bool(np.any(np.all(np.abs(local) <= model.geom_size[x], axis=1)))
+
+
+def crossed(engine, q) -> bool:
+    """Does a capsule of the robot run right through a box that it must not touch?"""
+    model, data = engine.model, engine.data
+    engine.place(q)
+    moved = np.array([model.body_weldid[b] != 0 for b in model.geom_bodyid])
+    return any(
+        axis_crosses(model, data, a, b)
+        for a in np.flatnonzero(moved)
+        for b in range(model.ngeom)
+        if may_collide(model, a, b)
+    )
+
+
+def sign_agreement(cell, clear) -> tuple[float, float, int]:
+    """Share of equal signs, the same once geometry has decided the rest, and how many differ."""
+    engine = rivals.Engine(cell)
+    q = configurations(cell, SIGNS, seed=1)
+    ours = clear(q)
+    judged = np.flatnonzero(np.abs(ours) > BAND)
+    theirs = np.array([engine.deepest(row) for row in q[judged]])
+    differ = judged[(ours[judged] < 0) != (theirs < -0.0)]
+    wrong = [i for i in differ if not (ours[i] < 0 and crossed(engine, q[i]))]
+    total = len(judged)
+    return 1 - len(differ) / total, 1 - len(wrong) / total, len(differ)
+
+
+def mjx_rate(cell, q: np.ndarray) -> float:
+    """Configurations per second of MJX kinematics and collision."""
+    from mujoco import mjx
+
+    model = rivals.welded_model(CELL)
+    put, start = mjx.put_model(model), mjx.make_data(model)
+    address = jnp.array(rivals.Engine(cell).address)
+
+    def touch(q):
+        data = start.replace(qpos=start.qpos.at[address].set(q))
+        data = mjx.com_pos(put, mjx.kinematics(put, data))
+        return jnp.min(mjx.collision(put, data)._impl.contact.dist)
+
+    run = jax.jit(jax.vmap(touch))
+    return rate(lambda: run(q), len(q))[0]
+
+
+def main(json: Path | None = None, mjx: bool = True) -> None:
+    """Measure and print; write JSON if asked to.
+
+    Args:
+        json: file for the figures.
+        mjx: measure MJX too; it compiles for about a minute.
+    """
+    use_all_cores()
+    began = time.perf_counter()
+    cold, warm = first_calls()
+    cell = load_workcell(CELL)
+    spread = Spread()
+    shared, q = spread.share(cell), configurations(cell, BATCH)
+    items = spread.split(q)
+    clear = spread.over(collision.clearance, 1)
+    fk, rays = spread.over(tool_pose, 1), spread.over(sense, 1)
+    solve = spread.over(lambda cell, pose, key: solve_ik(cell, pose, key=key), 2)
+    poses = fk(shared, items)
+    ours, first = rate(lambda: clear(shared, items), BATCH)
+    alone, _ = rate(lambda: jax.vmap(collision.clearance, (None, 0))(cell, q), BATCH)
+    engine = rivals.Engine(cell)
+    native, _ = rate(lambda: engine.sweep(q[:20000]), 20000)
+    keys = jax.random.split(jax.random.key(0), 1024)
+    some = spread.split(np.asarray(poses)[:1024]), spread.split(keys)
+    found = float(jnp.mean(solve(shared, *some).found))
+    flops, peak = operations(cell), arithmetic_peak()
+    count = -(-SIGNS // len(spread.devices)) * len(spread.devices)
+
+    def clear_many(many):
+        padded = np.concatenate([many, many[: count - len(many)]])
+        return np.asarray(clear(shared, spread.split(padded)))[: len(many)]
+
+    agree, decided, differ = sign_agreement(cell, clear_many)
+    bullet = rivals.bullet(cell)
+    figures = [
+        metric("kernels.first_call_cold", cold, "s", "lower", "clearance, empty compile cache"),
+        metric("kernels.first_call_warm", warm, "s", "lower", "the same, compile cache filled"),
+        metric("kernels.batch_compile", first, "s", "lower", f"batch of {BATCH}"),
+        metric("kernels.clearance", ours, "1/s", "higher", f"{len(spread.devices)} devices"),
+        metric("kernels.clearance_one_device", alone, "1/s", "higher", "plain jit(vmap)"),
+        metric("kernels.mujoco_one_thread", native, "1/s", "higher", "C MuJoCo, objects welded"),
+        metric("kernels.clearance_vs_mujoco", ours / native, "1", "higher"),
+        metric("kernels.clearance_vs_mujoco_all_cores",
+               ours / rivals.mujoco_all_cores(cell, q), "1", "higher"),
+        metric("kernels.clearance_peak_share", ours * flops / peak, "1", "higher",
+               f"{flops / 1e3:.0f} kflop each, peak {peak / 1e9:.0f} Gflop/s"),
+        metric("kernels.clearance_sign_agreement", agree, "1", "higher",
+               f"{differ} of {SIGNS} differ"),
+        metric("kernels.clearance_sign_right", decided, "1", "higher",
+               "after geometry has decided where they differ"),
+        metric("kernels.fk", rate(lambda: fk(shared, items), BATCH)[0], "1/s", "higher"),
+        metric("kernels.rays", rate(lambda: rays(shared, poses), BATCH)[0], "1/s", "higher",
+               "25 each"),
+        metric("kernels.ik", rate(lambda: solve(shared, *some), 1024)[0], "1/s", "higher",
+               f"16 seeds, {found:.4f} found"),
+    ]  # fmt: skip
+    if bullet:
+        slow, _ = rate(lambda: bullet.sweep(q[:5000]), 5000)
+        figures.append(metric("kernels.pybullet", slow, "1/s", "higher"))
+        figures.append(metric("kernels.clearance_vs_pybullet", ours / slow, "1", "higher"))
+    if mjx:
+        batched = mjx_rate(cell, q[:512])
+        figures.append(metric("kernels.mjx", batched, "1/s", "higher", "batch of 512"))
+        figures.append(metric("kernels.clearance_vs_mjx", ours / batched, "1", "higher"))
+    write(figures, json)
+    print(f"{time.perf_counter() - began:.0f} s")
 
 
 if __name__ == "__main__":

@@ -6,6 +6,10 @@ class HybridJaxError(Exception):
     """Base of every error that this package raises on purpose."""
 
 
+class InputError(HybridJaxError, ValueError):
+    """An argument that is no configuration or no pose: the message names the offending index."""
+
+
 class UnknownNameError(HybridJaxError):
     """A name that is not in a list of names."""
 

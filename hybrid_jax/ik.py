@@ -11,6 +11,8 @@ from jaxtyping import Float, PRNGKeyArray
 
 from hybrid_jax.kernels.collision import clearance
 from hybrid_jax.kernels.descent import descend
+from hybrid_jax.kernels.inputs import checks, configuration
+from hybrid_jax.kernels.inputs import pose as pose_input
 from hybrid_jax.kernels.kinematics import jacobian
 from hybrid_jax.types import KinematicChain, Workcell, pytree
 
@@ -113,6 +115,7 @@ def _push_away(cell: Workcell, pose: Array, q: Array, config: IkConfig) -> tuple
     return descend(cell.chain, pose, q, 3, config.max_step, config.damping)
 
 
+@checks(pose=pose_input, reference=configuration)
 @functools.partial(jax.jit, static_argnames="config")
 def solve_ik(
     cell: Workcell,

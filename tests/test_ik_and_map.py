@@ -105,3 +105,93 @@ def test_a_map_of_another_cell_is_refused(cell, fmap, tmp_path):
     path.write_bytes(b"nonsense")
     with pytest.raises(RunFolderError, match="damaged"):
         building.load_map(path, cell)
+
+
+def test_an_interrupted_build_goes_on(cell, fmap, tmp_path):
+    """The second build finds the first block and computes the rest; the map is the same."""
+    from dataclasses import replace
+
+    config = replace(CONFIG, slab=CONFIG.size // 2)
+    folder, calls = tmp_path / "partial", []
+
+    def stop(done, total):
+        calls.append(done)
+        if done >= config.size // 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        building.build_feasibility_map(cell, config, progress=stop, partial=folder)
+    assert len(list(folder.glob("block_*.npz"))) >= 1
+    resumed = building.build_feasibility_map(cell, config, partial=folder)
+    assert not folder.exists()
+    straight = building.build_feasibility_map(cell, config)
+    np.testing.assert_array_equal(resumed.reason, straight.reason)
+    np.testing.assert_array_equal(resumed.configuration, straight.configuration)
+    # blocks draw their own random numbers: labels of the whole map differ by chance only
+    assert (np.asarray(resumed.reason) == np.asarray(fmap.reason)).mean() > 0.97
+
+
+def test_a_map_that_cannot_fit_is_refused_with_its_size(cell):
+    from hybrid_jax.errors import MapError
+
+    with pytest.raises(MapError, match="GiB"):
+        building.build_feasibility_map(cell, MapConfig(spacing=0.001, orientations=5000))
+
+
+def test_several_devices_build_the_same_map():
+    """A process with two CPU devices labels as one with one device does."""
+    import subprocess
+    import sys
+
+    code = """
+import sys, jax
+jax.config.update("jax_num_cpu_devices", int(sys.argv[1]))
+from hybrid_jax.compilecache import enable_compile_cache
+enable_compile_cache()
+import numpy as np, hybrid_jax
+from hybrid_jax.feasibility.grid import MapConfig
+config = MapConfig(lower=(.3, -.2, .1), upper=(.6, .2, .4), spacing=.3, orientations=8, batch=128)
+cell = hybrid_jax.load_workcell("gen3_handling")
+fmap = hybrid_jax.build_feasibility_map(cell, config)
+print(len(jax.devices()), "".join(map(str, np.asarray(fmap.reason).ravel())))
+"""
+    runs = [
+        subprocess.run([sys.executable, "-c", code, str(n)], capture_output=True, text=True)
+        for n in (1, 2)
+    ]
+    assert all(r.returncode == 0 for r in runs), [r.stderr[-500:] for r in runs]
+    (one, labels), (two, same) = (r.stdout.split() for r in runs)
+    assert (one, two) == ("1", "2") and labels == same and len(set(labels)) > 1
+
+
+def test_labels_agree_with_many_random_seeds(cell, fmap):
+    """A small version of the benchmark's oracle: 32 seeds, the engine's contacts."""
+    from hybrid_jax.ik import IkConfig
+    from hybrid_jax.kernels.kinematics import manipulability
+
+    index = np.random.default_rng(0).choice(CONFIG.size, 60, replace=False)
+    positions, quats = poses_at(CONFIG, index)
+    poses = dq.from_parts(jnp.asarray(positions), jnp.asarray(quats))
+    keys = jax.random.split(jax.random.key(1), len(poses))
+    config = IkConfig(seeds=32, iterations=60)
+    solve = jax.jit(jax.vmap(lambda p, k: solve_ik(cell, p, config=config, key=k)))
+    found = solve(poses, keys)
+    least = 0.1 * float(fmap.manipulability_scale)
+    man = jax.jit(jax.vmap(jax.vmap(lambda q: manipulability(cell, q))))(found.branches)
+    usable = np.asarray(found.branch_found & (man >= least))
+    model, data, layout = cell.model, mujoco.MjData(cell.model), cell.source.layout
+    agree = []
+    for i, ends in enumerate(np.asarray(found.branches)):
+        free = False
+        for q in ends[usable[i]]:
+            data.qpos[:] = home_qpos(model)
+            data.qpos[list(layout.qpos)] = q
+            mujoco.mj_forward(model, data)
+            touching = [c for c in data.contact[: data.ncon] if c.dist < -1e-4
+                        and any(model.geom_bodyid[g] >= model.jnt_bodyid[layout.joints[0]]
+                                and model.body_rootid[model.geom_bodyid[g]]
+                                == model.body_rootid[model.jnt_bodyid[layout.joints[0]]]
+                                for g in c.geom)]  # fmt: skip
+            free |= not touching
+        agree.append(free == (np.asarray(fmap.reason).ravel()[index[i]] == Reason.FEASIBLE))
+    assert np.mean(agree) >= 0.98

@@ -126,3 +126,36 @@ def test_collision_models_cover_the_real_links(cell, shared, tmp_path):
             text=True,
         )
         assert done.returncode == 0, done.stdout[-1500:] + done.stderr[-500:]
+
+
+URDF = """<robot name="two"><link name="base"/>
+<link name="upper"><inertial><mass value="1"/><inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0"
+iyz="0"/></inertial><collision><origin xyz="0 0 .15"/><geometry><cylinder radius=".04"
+length=".3"/></geometry></collision></link>
+<link name="tool"><inertial><mass value="1"/><inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0"
+iyz="0"/></inertial><collision><origin xyz="0 0 .15"/><geometry><box size=".04 .05 .2"/></geometry>
+</collision></link>
+<joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/>
+<origin xyz="0 0 .1"/><axis xyz="0 1 0"/><limit lower="-1.5" upper="1.5" effort="1" velocity="2"/>
+</joint>
+<joint name="elbow" type="revolute"><parent link="upper"/><child link="tool"/>
+<origin xyz="0 0 .35"/><axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="1" velocity="2"/>
+</joint></robot>"""
+
+
+def test_a_urdf_arm_is_loaded_with_its_last_link_as_tool(tmp_path):
+    from hybrid_jax.kernels.collision import clearance
+    from hybrid_jax.kernels.kinematics import tool_pose
+
+    (tmp_path / "two.urdf").write_text(URDF)
+    cell = load_workcell(tmp_path / "two.urdf")
+    assert cell.joint_names == ("shoulder", "elbow")
+    q = np.array([0.3, -0.4], np.float32)
+    data = mujoco.MjData(cell.model)
+    data.qpos[:] = q
+    mujoco.mj_kinematics(cell.model, data)
+    from hybrid_jax.kernels import dualquat as dq
+
+    wanted = data.xpos[cell.model.body("tool").id]
+    np.testing.assert_allclose(dq.position(tool_pose(cell, q)), wanted, atol=1e-6)
+    assert np.isfinite(float(clearance(cell, q)))

@@ -7,8 +7,8 @@ import functools
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from hybrid_jax.devices import Spread
 from hybrid_jax.feasibility.grid import MapConfig
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.collision import closest
@@ -79,40 +79,15 @@ class Judge:
     """The compiled programs of one cell, fed with batches of one size over some devices."""
 
     def __init__(self, cell: Workcell, config: MapConfig, devices=None):
-        self.config = config
-        devices = devices or jax.local_devices()
-        mesh = Mesh(np.array(devices), ("pose",))
-        self.batch = -(-config.batch // len(devices)) * len(devices)
-        self._split = NamedSharding(mesh, PartitionSpec("pose"))
-        self._cell = jax.device_put(cell, NamedSharding(mesh, PartitionSpec()))
-        self._mesh = mesh
-        self._programs = {}
+        self.config, self._spread = config, Spread(devices)
+        count = len(self._spread.devices)
+        self.batch = -(-config.batch // count) * count
+        self._cell = self._spread.share(cell)
+        self._attempt = self._spread.over(functools.partial(_attempt, config=config), 3, 2)
+        self._stretch = self._spread.over(functools.partial(_stretch, config=config), 3, 2)
+        self._sample = self._spread.over(_sample, 1)
         self.floor = np.float32(0.0)
         """Least manipulability of a feasible pose."""
-
-    def _program(self, function, shared: int, **static):
-        """The compiled program of a function of one pose; its last arguments are shared."""
-        if function in self._programs:
-            return self._programs[function]
-        one = functools.partial(function, **static)
-
-        def run(cell, *columns):
-            own = columns[: len(columns) - shared]
-            return jax.vmap(lambda *row: one(cell, *row, *columns[len(own) :]))(*own)
-
-        def specs(count):
-            return (PartitionSpec(), *[PartitionSpec("pose")] * count,
-                    *[PartitionSpec()] * shared)  # fmt: skip
-
-        def program(cell, *columns):
-            mapped = jax.shard_map(
-                run, mesh=self._mesh, in_specs=specs(len(columns) - shared),
-                out_specs=PartitionSpec("pose"), check_vma=False,
-            )  # fmt: skip
-            return mapped(cell, *columns)
-
-        self._programs[function] = jax.jit(program)
-        return self._programs[function]
 
     def _run(self, program, columns: list[np.ndarray], shared: tuple = ()) -> list[np.ndarray]:
         """Apply a program to columns of any length, batch by batch.
@@ -123,21 +98,21 @@ class Judge:
         count, done = len(columns[0]), []
         for start in range(0, count, self.batch):
             index = np.minimum(np.arange(start, start + self.batch), count - 1)
-            placed = [jax.device_put(c[index], self._split) for c in columns]
+            placed = [self._spread.split(c[index]) for c in columns]
             done.append(jax.device_get(program(self._cell, *placed, *shared)))
         return [np.concatenate(c)[:count] for c in zip(*map(jax.tree.leaves, done), strict=True)]
 
     def attempt(self, position, quat, seed, iterations: int) -> list[np.ndarray]:
         """Level, configuration, clearance, manipulability of each attempt, and whether what is
         nearest is the robot itself."""
-        program = self._program(_attempt, 2, config=self.config)
-        return self._run(program, [position, quat, seed], (self.floor, np.int32(iterations)))
+        shared = (self.floor, np.int32(iterations))
+        return self._run(self._attempt, [position, quat, seed], shared)
 
     def stretch(self, position, quat, seed, iterations: int) -> list[np.ndarray]:
         """The same without joint limits, and without a look at collisions."""
-        program = self._program(_stretch, 2, config=self.config)
-        return self._run(program, [position, quat, seed], (self.floor, np.int32(iterations)))
+        shared = (self.floor, np.int32(iterations))
+        return self._run(self._stretch, [position, quat, seed], shared)
 
     def sample(self, q: np.ndarray) -> list[np.ndarray]:
         """Tool positions and quaternions."""
-        return self._run(self._program(_sample, 0), [q])
+        return self._run(self._sample, [q])

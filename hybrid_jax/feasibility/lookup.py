@@ -8,11 +8,14 @@ from jaxtyping import Float
 
 from hybrid_jax.feasibility.building import FeasibilityMap
 from hybrid_jax.kernels import dualquat as dq
+from hybrid_jax.kernels.inputs import checks
+from hybrid_jax.kernels.inputs import pose as pose_input
 
 TURN_LENGTH = 0.3
 """Length that counts as one radian where positions and rotations are compared [m]."""
 
 
+@checks(pose=pose_input)
 @jax.jit
 def query(fmap: FeasibilityMap, pose: Float[Array, "8"]) -> tuple[Array, Array]:
     """Feasibility at a pose: trilinear in position, nearest orientation; and its best seed.
@@ -35,6 +38,7 @@ def query(fmap: FeasibilityMap, pose: Float[Array, "8"]) -> tuple[Array, Array]:
     return value, fmap.configuration[i, j, k, turn]
 
 
+@checks(pose=pose_input)
 @jax.jit
 def nearest_feasible(fmap: FeasibilityMap, pose: Float[Array, "8"]) -> Float[Array, "8"]:
     """Grid pose with positive feasibility that is nearest to a pose."""

@@ -16,6 +16,7 @@ from hybrid_jax.kernels import components as co
 from hybrid_jax.kernels import distance, nearest
 from hybrid_jax.kernels.batching import batch_size, batched, in_chunks, redo
 from hybrid_jax.kernels.distance import FAR
+from hybrid_jax.kernels.inputs import checks, configuration
 from hybrid_jax.kernels.kinematics import link_frames
 from hybrid_jax.kernels.nearest import Nearest, Pairing
 from hybrid_jax.kernels.primitives import (
@@ -162,12 +163,14 @@ def _slope(parts, primals, tangents):
     return found.distance, jnp.where(found.distance < FAR / 2, slope, 0.0)
 
 
+@checks(q=configuration)
 @jax.jit
 def clearances(cell: Workcell, q: Float[Array, "n"]) -> Float[Array, "2"]:
     """Smallest signed distance robot-world and robot-robot [m]; the payload counts as robot."""
     return jnp.stack([_smallest("world", cell, q), _smallest("own", cell, q)])
 
 
+@checks(q=configuration)
 @jax.jit
 def clearance(cell: Workcell, q: Float[Array, "n"]) -> Float[Array, ""]:
     """Smallest signed distance of the robot and its payload to anything else or itself [m].
@@ -177,6 +180,7 @@ def clearance(cell: Workcell, q: Float[Array, "n"]) -> Float[Array, ""]:
     return _smallest("all", cell, q)
 
 
+@checks(q=configuration)
 @jax.jit
 def closest(cell: Workcell, q: Float[Array, "n"]) -> tuple[Float[Array, ""], Bool[Array, ""]]:
     """Clearance [m], and whether what is nearest is the robot itself."""

@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from hybrid_jax.kernels import components as co
 from hybrid_jax.kernels import dualquat as dq
+from hybrid_jax.kernels.inputs import checks, configuration
 from hybrid_jax.kernels.symmetric import factor, gram
 from hybrid_jax.types import KinematicChain, Workcell
 
@@ -81,6 +82,7 @@ def tool_frame(chain: KinematicChain, frames: Float[Array, "n 7"]) -> Float[Arra
     return _compose(frames[-1], chain.tool)
 
 
+@checks(q=configuration)
 @jax.jit
 def tool_pose(cell: Workcell, q: Float[Array, "n"]) -> Float[Array, "8"]:
     """Pose of the tool in the world as a unit dual quaternion."""
@@ -97,6 +99,7 @@ def frame_jacobian(chain: KinematicChain, frames: Array, point: Array) -> Float[
     return jnp.concatenate([linear.T, (hinge * axes).T])
 
 
+@checks(q=configuration)
 @jax.jit
 def jacobian(cell: Workcell, q: Float[Array, "n"]) -> Float[Array, "6 n"]:
     """Geometric Jacobian of the tool: linear rows [m/rad], then angular rows, world axes."""
@@ -104,6 +107,7 @@ def jacobian(cell: Workcell, q: Float[Array, "n"]) -> Float[Array, "6 n"]:
     return frame_jacobian(cell.chain, frames, tool_frame(cell.chain, frames)[:3])
 
 
+@checks(q=configuration)
 @jax.jit
 def manipulability(cell: Workcell, q: Float[Array, "n"]) -> Float[Array, ""]:
     """Yoshikawa's measure `sqrt(det(J J^T))` (paper, section "Integrated Feasibility Map")."""

@@ -9,6 +9,8 @@ from jaxtyping import Float
 
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.components import dot, sub
+from hybrid_jax.kernels.inputs import checks
+from hybrid_jax.kernels.inputs import pose as pose_input
 from hybrid_jax.kernels.primitives import world_shapes
 from hybrid_jax.types import Workcell
 
@@ -102,6 +104,7 @@ def cast(
     return nearest(best, ray_box, (world.pose[boxes], world.half[boxes]), world.on[boxes])
 
 
+@checks(pose=pose_input)
 @jax.jit
 def sense(cell: Workcell, pose: Float[Array, "8"]) -> Float[Array, "25"]:
     """Ray lengths up to `RAY_RANGE` [m] at a tool pose; robot and payload are unseen."""

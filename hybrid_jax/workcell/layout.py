@@ -12,7 +12,7 @@ from hybrid_jax.workcell.description import Handling
 _MOTION = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 _ON_JOINT = int(mujoco.mjtTrn.mjTRN_JOINT)
-_TOOL_NAMES = ("tool", "tcp", "tool0", "grasp_site", "pinch", "attachment_site")
+TOOL_NAMES = ("tool", "tcp", "tool0", "grasp_site", "pinch", "attachment_site")
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def body_joints(model: mujoco.MjModel, body: int) -> range:
 
 def _find_tool(model: mujoco.MjModel, task: Handling | None) -> int:
     names = [model.site(i).name for i in range(model.nsite)]
-    wanted = (task.tool_site,) if task else _TOOL_NAMES
+    wanted = (task.tool_site,) if task else TOOL_NAMES
     for name in wanted:
         if name in names:
             return names.index(name)

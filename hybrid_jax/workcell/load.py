@@ -15,10 +15,19 @@ from hybrid_jax.workcell.assets import find_workcell
 from hybrid_jax.workcell.compile import MESH_TOLERANCE, compile_workcell
 from hybrid_jax.workcell.contacts import may_collide
 from hybrid_jax.workcell.description import read_handling
-from hybrid_jax.workcell.layout import home_qpos
+from hybrid_jax.workcell.layout import TOOL_NAMES, home_qpos
 from hybrid_jax.workcell.scene import place_objects
 
 _HARMLESS = re.compile("Attaching a spec with an empty prefix")
+
+
+def _read_urdf(path: Path) -> mujoco.MjModel:
+    """Compile a URDF; its tool is the link with a usual name, else the last link of the arm."""
+    spec = mujoco.MjSpec.from_file(str(path))
+    spec.compiler.fusestatic = False  # a tool link without geometry would vanish
+    named = [body for body in spec.bodies if body.name in TOOL_NAMES]
+    (named or spec.bodies)[-1].add_site(name="tool")
+    return spec.compile()
 
 
 def read_model(path: Path) -> mujoco.MjModel:
@@ -32,6 +41,8 @@ def read_model(path: Path) -> mujoco.MjModel:
     try:
         if path.suffix == ".mjb":
             return mujoco.MjModel.from_binary_path(str(path))
+        if path.suffix == ".urdf":
+            return _read_urdf(path)
         return mujoco.MjModel.from_xml_path(str(path))
     except ValueError as error:
         raise WorkcellError(f"{path.name}: MuJoCo cannot read it: {error}") from None

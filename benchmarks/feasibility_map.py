@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: MIT
+"""The feasibility map of the handling cell: speed, what it finds, and against an exhaustive oracle.
+
+The oracle solves each pose from 64 random seeds; C MuJoCo checks pose, limits and contacts of
+every solution. The same engine checks the configurations that the map calls feasible.
+"""
+
+import time
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import tyro
+from scipy.spatial.transform import Rotation
+
+from benchmarks import rivals
+from benchmarks.kernels import CELL, configurations
+from benchmarks.report import metric, rate, write
+from hybrid_jax.devices import Spread, use_all_cores
+from hybrid_jax.feasibility.building import FeasibilityMap, build_feasibility_map
+from hybrid_jax.feasibility.grid import MapConfig, poses_at
+from hybrid_jax.feasibility.judging import Reason
+from hybrid_jax.feasibility.lookup import query
+from hybrid_jax.ik import IkConfig, solve_ik
+from hybrid_jax.kernels import dualquat as dq
+from hybrid_jax.kernels.kinematics import manipulability, tool_pose
+from hybrid_jax.pictures import draw_map
+from hybrid_jax.progress import Progress
+from hybrid_jax.workcell.load import load_workcell
+
+GRID = MapConfig(lower=(0.0, -0.6, 0.0), upper=(0.95, 0.55, 0.75), spacing=0.05, orientations=521)
+"""The paper's task range, 1.0 x 1.2 x 0.8 m: 20 x 24 x 16 voxels, 4,001,280 poses."""
+ORACLE = IkConfig(seeds=64, iterations=60)
+ORACLE_POSES = 2000
+REACHABLE = 2000
+DEEPEST = -1e-4
+"""A contact less deep than this is none: float32 and the engine differ by as much [m]."""
+
+
+class Checker:
+    """C MuJoCo's verdict on a configuration."""
+
+    def __init__(self, cell):
+        self.engine = rivals.Engine(cell)
+        self.limits = np.asarray(cell.joint_limits, float)
+
+    def reaches(self, q, position, quat) -> bool:
+        """Within 1 mm and 0.5 deg, and within the limits."""
+        engine = self.engine
+        engine.place(q)
+        site = engine.data.site_xmat[engine.site].reshape(3, 3)
+        turn = Rotation.from_matrix(site) * Rotation.from_quat(quat, scalar_first=True).inv()
+        near = np.linalg.norm(engine.data.site_xpos[engine.site] - position) <= 1e-3
+        inside = np.all((q >= self.limits[:, 0] - 1e-6) & (q <= self.limits[:, 1] + 1e-6))
+        return bool(near and inside and turn.magnitude() <= np.deg2rad(0.5))
+
+    def free(self, q) -> bool:
+        return self.engine.deepest(q) > DEEPEST
+
+
+def oracle_labels(cell, spread, check: Checker, positions, quats, least: float) -> np.ndarray:
+    """True where any of many random seeds leads to a free configuration that is not singular."""
+    poses = dq.from_parts(jnp.asarray(positions), jnp.asarray(quats))
+    keys = jax.random.split(jax.random.key(7), len(poses))
+
+    def branches(cell, pose, key):
+        found = solve_ik(cell, pose, config=ORACLE, key=key)
+        man = jax.vmap(manipulability, (None, 0))(cell, found.branches)
+        return found.branches, found.branch_found & (man >= least)
+
+    solve = spread.over(branches, 2)
+    shared, labels = spread.share(cell), []
+    for start in range(0, len(poses), 200):
+        some = slice(start, start + 200)
+        q, usable = solve(shared, spread.split(poses[some]), spread.split(keys[some]))
+        rows = zip(np.asarray(q, float), np.asarray(usable), positions[some], quats[some],
+                   strict=True)  # fmt: skip
+        labels += [
+            any(check.reaches(x, p, r) and check.free(x) for x in ends[ok])
+            for ends, ok, p, r in rows
+        ]
+    return np.array(labels)
+
+
+def against_oracle(cell, spread, fmap: FeasibilityMap) -> dict[str, float]:
+    """Agreement with the oracle on random poses of the grid, and the feasible ones that fail."""
+    rng = np.random.default_rng(11)
+    index = rng.choice(GRID.size, ORACLE_POSES, replace=False)
+    positions, quats = poses_at(GRID, index)
+    ours = np.asarray(fmap.reason).ravel()[index] == Reason.FEASIBLE
+    q = np.asarray(fmap.configuration).reshape(GRID.size, -1)[index].astype(float)
+    check = Checker(cell)
+    least = float(fmap.manipulability_scale) * GRID.least_manipulability
+    oracle = oracle_labels(cell, spread, check, positions, quats, least)
+    verified = np.array([
+        bool(mine and check.reaches(x, p, r) and check.free(x))
+        for mine, x, p, r in zip(ours, q, positions, quats, strict=True)
+    ])  # fmt: skip
+    return {
+        "agreement": float(np.mean(ours == oracle)),
+        "false": float(np.mean(ours & ~verified)),
+        "missed": float(np.mean(~ours & oracle)),
+        "beyond": float(np.mean(verified & ~oracle)),
+        "feasible": float(np.mean(ours)),
+    }
+
+
+def reachable_found(cell, spread) -> tuple[float, float]:
+    """Share of provably reachable, collision-free poses that IK solves free; and its rate."""
+    check = Checker(cell)
+    q = configurations(cell, 4 * REACHABLE, seed=5)
+    q = np.array([row for row in q if check.free(row)])[:REACHABLE]
+    poses = np.asarray(jax.vmap(tool_pose, (None, 0))(cell, jnp.asarray(q)))
+    config = IkConfig(seeds=32, iterations=50, clearance=1e-4)
+    solve = spread.over(lambda cell, pose, key: solve_ik(cell, pose, config=config, key=key), 2)
+    keys = jax.random.split(jax.random.key(3), len(q))
+    shared = spread.share(cell)
+    items = spread.split(poses), spread.split(keys)
+    speed, _ = rate(lambda: solve(shared, *items).q, len(q))
+    answers = np.asarray(solve(shared, *items).q, float)
+    places, turns = np.asarray(dq.position(jnp.asarray(poses))), poses[:, :4]
+    good = [check.reaches(x, p, r) and check.free(x)
+            for x, p, r in zip(answers, places, turns, strict=True)]  # fmt: skip
+    return float(np.mean(good)), speed
+
+
+def bullet_rate(cell) -> tuple[float, float, float] | None:
+    """Poses per second of IK and collision in PyBullet, with the shares solved and feasible."""
+    bullet = rivals.bullet(cell)
+    if not bullet:
+        return None
+    index = np.random.default_rng(2).choice(GRID.size, 5000, replace=False)
+    positions, quats = poses_at(GRID, index)
+    turns = quats[:, [1, 2, 3, 0]].astype(float)
+    began = time.perf_counter()
+    verdicts = [bullet.judge(p, r) for p, r in zip(positions.astype(float), turns, strict=True)]
+    seconds = time.perf_counter() - began
+    return len(index) / seconds, *np.mean(verdicts, axis=0)
+
+
+def main(json: Path | None = None, picture: Path | None = None) -> None:
+    """Measure and print; write JSON and the map's picture if asked to."""
+    use_all_cores()
+    cell, spread = load_workcell(CELL), Spread()
+    began = time.perf_counter()
+    build_feasibility_map(cell, MapConfig(spacing=0.4, orientations=2))
+    compiled = time.perf_counter() - began
+    began = time.perf_counter()
+    fmap = build_feasibility_map(cell, GRID, progress=Progress("map", "poses"))
+    seconds = time.perf_counter() - began
+    if picture:
+        draw_map(picture, fmap)
+    speed, scale = GRID.size / seconds, 4e6 / GRID.size
+    result = against_oracle(cell, spread, fmap)
+    found, ik_rate = reachable_found(cell, spread)
+    poses = jnp.asarray(
+        np.asarray(jax.vmap(tool_pose, (None, 0))(cell, configurations(cell, 4096)))
+    )
+    ask = jax.jit(jax.vmap(query, (None, 0)))
+    asked, _ = rate(lambda: ask(fmap, poses), len(poses))
+    figures = [
+        metric("map.compile", compiled, "s", "lower", "a map of a few poses, all programs"),
+        metric("map.seconds_4m", seconds * scale, "s", "lower", f"{GRID.size} poses"),
+        metric("map.poses", speed, "1/s", "higher", f"{len(spread.devices)} devices"),
+        metric("map.feasible_share", result["feasible"], "1", "higher", "of the oracle's poses"),
+        metric("map.oracle_agreement", result["agreement"], "1", "higher",
+               f"{ORACLE_POSES} poses, 64 seeds"),
+        metric("map.false_feasible", result["false"], "1", "lower", "C MuJoCo refuses it"),
+        metric("map.missed", result["missed"], "1", "lower", "the oracle found a way"),
+        metric("map.beyond_oracle", result["beyond"], "1", "higher",
+               "verified, and the oracle found none"),
+        metric("map.ik_found", found, "1", "higher", f"of {REACHABLE} poses, {ik_rate:.0f}/s"),
+        metric("map.query", 1e6 / asked, "us", "lower", "each, in a batch of 4096"),
+    ]  # fmt: skip
+    rival = bullet_rate(cell)
+    if rival:
+        note = f"one seed; solves {rival[1]:.3f}, calls {rival[2]:.3f} feasible"
+        figures.append(metric("map.pybullet", rival[0], "1/s", "higher", note))
+        figures.append(metric("map.poses_vs_pybullet", speed / rival[0], "1", "higher"))
+    index = np.random.default_rng(2).choice(GRID.size, 300, replace=False)
+    positions, quats = poses_at(GRID, index)
+    solved, mink_speed = rivals.mink_solves(cell, positions, quats)
+    figures.append(metric("map.mink", mink_speed, "1/s", "higher",
+                          f"IK alone, one seed; solves {solved:.3f}"))  # fmt: skip
+    write(figures, json)
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

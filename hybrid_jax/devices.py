@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: MIT
+"""Spread batches over the devices of a machine; on a CPU, over its cores."""
+
+import os
+
+import jax
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+
+def use_all_cores() -> None:
+    """Make every core a JAX device, where there is no accelerator.
+
+    XLA runs most kernels of this package on one core: each operation on a chunk is too small to
+    be worth sharing. Call it first: once a device has been used it has no effect.
+    """
+    jax.config.update("jax_num_cpu_devices", len(os.sched_getaffinity(0)))
+
+
+class Spread:
+    """Runs a function of one item over whole batches, split over some devices."""
+
+    def __init__(self, devices=None):
+        self.devices = list(devices or jax.local_devices())
+        self.mesh = Mesh(np.array(self.devices), ("item",))
+        self._split = NamedSharding(self.mesh, PartitionSpec("item"))
+        self._whole = NamedSharding(self.mesh, PartitionSpec())
+
+    def share(self, tree):
+        """A copy of `tree` on every device."""
+        return jax.device_put(tree, self._whole)
+
+    def split(self, array):
+        """`array` cut along its first axis, a piece on each device."""
+        return jax.device_put(array, self._split)
+
+    def over(self, function, items: int, shared: int = 0):
+        """`function(cell, *items, *shared)` of one item, compiled for batches.
+
+        Args:
+            function: its first argument is the same for all.
+            items: how many arguments have one entry per item; they come next.
+            shared: how many further arguments are the same for all.
+        """
+
+        def run(first, *rest):
+            own, common = rest[:items], rest[items:]
+            return jax.vmap(lambda *row: function(first, *row, *common))(*own)
+
+        split, whole = PartitionSpec("item"), PartitionSpec()
+        specs = (whole, *[split] * items, *[whole] * shared)
+        return jax.jit(
+            jax.shard_map(run, mesh=self.mesh, in_specs=specs, out_specs=split, check_vma=False)
+        )

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: MIT
+"""Cylinders, meshes and planes: never smaller than the solid, larger by no more than stated."""
+
+import itertools
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import oracles
+import pytest
+
+from hybrid_jax.errors import WorkcellError
+from hybrid_jax.kernels.collision import clearance
+from hybrid_jax.workcell import approximation
+from hybrid_jax.workcell.load import load_workcell
+
+ARM = """<mujoco>{asset}<worldbody>{world}<body name="arm" pos="0 0 .5">
+<joint name="a" axis="0 0 1" range="-3 3"/><joint name="b" axis="0 1 0" range="-2 2"/>
+<geom name="link" type="capsule" size=".02" fromto="0 0 0 .4 0 0"/>
+<body pos=".4 0 0"><joint name="c" axis="0 1 0" range="-2.5 2.5"/>
+<geom type="capsule" size=".02" fromto=".03 0 0 .3 0 0"/><site name="tool" pos=".3 0 0"/></body>
+</body></worldbody></mujoco>"""
+
+
+def arm_cell(tmp_path, world, asset="", **kwargs):
+    (tmp_path / "cell.xml").write_text(ARM.format(world=world, asset=asset))
+    return load_workcell(tmp_path / "cell.xml", **kwargs)
+
+
+def inside_box(points, box):
+    pose, half, _ = box
+    return np.all(np.abs(pose.inv().apply(points)) <= np.array(half) + 1e-9, axis=1)
+
+
+@pytest.mark.parametrize("radius", [0.02, 0.1, 0.5])
+def test_boxes_of_a_cylinder_contain_it_and_little_more(radius):
+    boxes = approximation.cylinder(radius, 0.2)
+    rng = np.random.default_rng(0)
+    angle, r = rng.uniform(0, 2 * np.pi, 20000), radius * np.sqrt(rng.uniform(0, 1, 20000))
+    points = np.stack([r * np.cos(angle), r * np.sin(angle), rng.uniform(-0.2, 0.2, 20000)], 1)
+    assert np.any([inside_box(points, b) for b in boxes], axis=0).all()
+    corners = np.array(list(itertools.product((-1, 1), repeat=3)))
+    reach = max(np.linalg.norm(b[0].apply(corners * b[1])[:, :2], axis=1).max() for b in boxes)
+    excess = approximation.cylinder_excess(radius, len(boxes))
+    assert reach == pytest.approx(radius + excess, abs=1e-9)
+    assert excess <= max(1e-3, 0.0087 * radius)
+
+
+def wedge(count=12):
+    """A tapered prism: no primitive, but slabs of it are nearly boxes."""
+    x = np.linspace(0, 0.2, 2)
+    return np.array([[a, s * (0.05 - 0.1 * a), t * 0.02] for a in x for s in (-1, 1)
+                     for t in (-1, 1)])  # fmt: skip
+
+
+def test_boxes_of_a_mesh_contain_it_and_keep_the_tolerance():
+    vertices = wedge()
+    boxes = approximation.convex_mesh(vertices, 2e-3, "wedge")
+    rng = np.random.default_rng(0)
+    points = rng.dirichlet(np.ones(len(vertices)), 5000) @ vertices
+    assert np.any([inside_box(points, b) for b in boxes], axis=0).all()
+    assert len(boxes) > 1
+    corners = np.array(list(itertools.product((-1, 1), repeat=3)))
+    for pose, half, _ in boxes:
+        for corner in pose.apply(corners * half):
+            assert approximation.distance_to_hull(corner, vertices) <= 2e-3 + 1e-6
+
+
+def test_a_box_as_a_mesh_is_one_box():
+    from scipy.spatial.transform import Rotation
+
+    turned = Rotation.from_euler("xyz", [0.3, 0.5, 0.7]).apply(
+        oracles.box_corners(np.array([0.1, 0.05, 0.02]))
+    )
+    (box,) = approximation.convex_mesh(turned, 1e-4, "box")
+    assert sorted(box[1]) == pytest.approx([0.02, 0.05, 0.1], abs=1e-6)
+
+
+def test_a_mesh_that_no_boxes_fit_is_refused_by_name(tmp_path):
+    ball = np.random.default_rng(0).normal(size=(200, 3))
+    ball = 0.2 * ball / np.linalg.norm(ball, axis=1, keepdims=True) + [1, 0, 0]
+    numbers = " ".join(f"{v:.5f}" for v in ball.ravel())
+    with pytest.raises(WorkcellError, match="ball.*mm"):
+        arm_cell(
+            tmp_path,
+            '<geom name="ball" type="mesh" mesh="m"/>',
+            f'<asset><mesh name="m" vertex="{numbers}"/></asset>',
+        )
+
+
+@pytest.mark.parametrize(
+    "world, asset, excess",
+    [
+        ('<geom type="cylinder" size=".1 .3" pos=".5 .45 .3" euler="20 30 0"/>', "", 1.1e-3),
+        ('<geom type="plane" size="1 1 1" pos="0 0 .1"/>', "", 1e-5),
+        (
+            '<geom type="mesh" mesh="m" pos=".5 -.35 .4" euler="10 50 0"/>',
+            '<asset><mesh name="m" vertex="{}"/></asset>'.format(
+                " ".join(f"{v:.5f}" for v in wedge().ravel())
+            ),
+            5e-3,
+        ),
+    ],
+    ids=["cylinder", "plane", "mesh"],
+)
+def test_clearance_is_at_most_the_engines_and_less_by_no_more_than_stated(
+    tmp_path, world, asset, excess
+):
+    cell = arm_cell(tmp_path, world, asset)
+    rng = np.random.default_rng(0)
+    low, high = np.asarray(cell.joint_limits).T
+    q = rng.uniform(low, high, (150, 3)).astype(np.float32)
+    got = np.asarray(jax.jit(jax.vmap(lambda one: clearance(cell, one)))(jnp.asarray(q)))
+    apart = 0
+    for row, gap in zip(q, got, strict=True):
+        data = oracles.cell_data(cell, row)
+        wanted = min(
+            mujoco.mj_geomDistance(cell.model, data, 0, g, 5.0, None)
+            for g in range(1, cell.model.ngeom)
+        )
+        if wanted > excess:
+            assert wanted - excess - 2e-4 <= gap <= wanted + 2e-4
+            apart += 1
+    assert apart > 50
