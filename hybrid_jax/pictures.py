@@ -10,6 +10,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
 import mujoco  # noqa: E402
 import numpy as np  # noqa: E402
+from matplotlib.colors import ListedColormap  # noqa: E402
 
 from hybrid_jax.feasibility.building import FeasibilityMap  # noqa: E402
 from hybrid_jax.feasibility.judging import Reason  # noqa: E402
@@ -35,44 +36,53 @@ def draw_curves(
     plt.close(fig)
 
 
+_REASON_COLOURS = ("firebrick", "orange", "steelblue", "slateblue", "tab:gray", "whitesmoke")
+"""Of each `Reason`, in its order."""
+
+
+def _share_cloud(ax, share: np.ndarray, axes: list[np.ndarray]):
+    """The paper's figure: voxels coloured by the share of feasible orientations."""
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+    shown = ax.scatter(*grid.T, c=share.ravel(), cmap="coolwarm", s=10, alpha=0.5, vmin=0, vmax=1)
+    ax.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", title="feasible share of orientations")
+    ax.set_aspect("equal")
+    return shown
+
+
+def _slice(ax, values: np.ndarray, axes: list[np.ndarray], across: int, **style) -> None:
+    """The middle slice of a field across one axis."""
+    middle = values.shape[across] // 2
+    u, v = (i for i in range(3) if i != across)
+    step = [np.diff(axes[i][:2])[0] / 2 if len(axes[i]) > 1 else 0.05 for i in (u, v)]
+    extent = (axes[u][0] - step[0], axes[u][-1] + step[0],
+              axes[v][0] - step[1], axes[v][-1] + step[1])  # fmt: skip
+    ax.imshow(np.take(values, middle, across).T, origin="lower", extent=extent, **style)
+    ax.set(xlabel=f"{'xyz'[u]} [m]", ylabel=f"{'xyz'[v]} [m]",
+           title=f"at {'xyz'[across]} = {axes[across][middle]:.2f} m")  # fmt: skip
+
+
 def draw_map(path: Path, fmap: FeasibilityMap) -> None:
-    """The paper's figure (blue infeasible to red feasible), a slice, and the reasons."""
+    """The paper's figure (blue infeasible to red feasible), slices of it, and the reasons."""
     reason = np.asarray(fmap.reason)
     share = (reason == Reason.FEASIBLE).mean(axis=-1)
     lower, spacing = np.asarray(fmap.lower), float(fmap.spacing)
-    grid = np.stack(
-        np.meshgrid(
-            *[lower[i] + spacing * np.arange(n) for i, n in enumerate(share.shape)], indexing="ij"
-        ),
-        -1,
-    )
-    fig = plt.figure(figsize=(15, 4.6), layout="constrained")
-    cloud = fig.add_subplot(1, 3, 1, projection="3d")
-    shown = cloud.scatter(
-        *grid.reshape(-1, 3).T, c=share.ravel(), cmap="coolwarm", s=14, alpha=0.55, vmin=0, vmax=1
-    )
-    cloud.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
-    cloud.set_title("feasible share of orientations")
-    fig.colorbar(shown, ax=cloud, shrink=0.7)
-    middle = share.shape[2] // 2 if share.shape[2] > 1 else 0
-    cut = fig.add_subplot(1, 3, 2)
-    extent = (
-        lower[0] - spacing / 2,
-        lower[0] + spacing * (share.shape[0] - 0.5),
-        lower[1] - spacing / 2,
-        lower[1] + spacing * (share.shape[1] - 0.5),
-    )
-    cut.imshow(
-        share[:, :, middle].T, origin="lower", extent=extent, cmap="coolwarm", vmin=0, vmax=1
-    )
-    cut.set(
-        xlabel="x [m]", ylabel="y [m]", title=f"slice at z = {lower[2] + spacing * middle:.2f} m"
-    )
-    bars = fig.add_subplot(1, 3, 3)
-    counts = [(reason == r).mean() for r in Reason]
-    bars.barh([r.name.lower().replace("_", " ") for r in Reason], counts, color="tab:gray")
+    axes = [lower[i] + spacing * np.arange(n) for i, n in enumerate(share.shape)]
+    counts = np.stack([(reason == r).mean(axis=-1) for r in Reason])
+    fig = plt.figure(figsize=(15, 9), layout="constrained")
+    cloud = fig.add_subplot(2, 3, 1, projection="3d")
+    fig.colorbar(_share_cloud(cloud, share, axes), ax=cloud, shrink=0.7)
+    names = [r.name.lower().replace("_", " ") for r in Reason]
+    bars = fig.add_subplot(2, 3, 2)
+    bars.barh(names, counts.mean(axis=(1, 2, 3)), color=_REASON_COLOURS, edgecolor="black")
     bars.invert_yaxis()
     bars.set(xlabel="share of poses", title="reasons")
+    common = fig.add_subplot(2, 3, 3)
+    _slice(common, counts.argmax(axis=0), axes, 2, cmap=ListedColormap(_REASON_COLOURS),
+           vmin=0, vmax=len(Reason) - 1)  # fmt: skip
+    common.set_title("most frequent reason, " + common.get_title())
+    for across in range(3):
+        ax = fig.add_subplot(2, 3, 4 + across)
+        _slice(ax, share, axes, across, cmap="coolwarm", vmin=0, vmax=1)
     fig.savefig(path, dpi=110)
     plt.close(fig)
 

@@ -19,6 +19,8 @@ from hybrid_jax.feasibility.judging import Judge, Level, Reason
 from hybrid_jax.types import Workcell, pytree
 
 _SCALE_SAMPLES = 65536
+_PIECE = 262_144
+"""Random configurations drawn at a time."""
 _KIND = "feasibility map"
 _BLOCK = "block_{:05d}.npz"
 
@@ -80,16 +82,30 @@ def _refuse_too_large(config: MapConfig, joints: int) -> None:
         )
 
 
+def _first_seeds(judge: Judge, block: Block, limits: np.ndarray, rng):
+    """Random configurations, one for each pose of a block that a tool came near to.
+
+    Yields:
+        Flat indices in the block, and configurations, piece by piece.
+    """
+    config, left = judge.config, judge.config.samples * block.size
+    seen = np.zeros(block.size, bool)
+    while left > 0:
+        count = min(left, _PIECE)
+        q = rng.uniform(*limits.T, (count, len(limits))).astype(np.float32)
+        at = block.block_index(config, nearest_cell(config, *judge.sample(q)))
+        at, which = np.unique(at, return_index=True)
+        new = (at >= 0) & ~seen[at]
+        seen[at[new]] = True
+        yield at[new], q[which[new]]
+        left -= count
+
+
 def _fill(judge: Judge, block: Block, limits: np.ndarray, rng, progress) -> Field:
     """Solve one block."""
     config, flood = judge.config, Flood(judge, block, len(limits))
-    q = rng.uniform(*limits.T, (config.samples * block.size, len(limits))).astype(np.float32)
-    position, quat = judge.sample(q)
-    at = block.block_index(config, nearest_cell(config, position, quat))
-    at, which = np.unique(at, return_index=True)
-    seen = at >= 0
-    progress(0.05)
-    flood.seed(at[seen], q[which[seen]])
+    for at, q in _first_seeds(judge, block, limits, rng):
+        flood.seed(at, q)
     progress(0.15)
     flood.spread(lambda share: progress(0.15 + 0.6 * share))
     for k in range(config.restarts):

@@ -10,6 +10,7 @@ import numpy as np
 
 from hybrid_jax.devices import Spread
 from hybrid_jax.feasibility.grid import MapConfig
+from hybrid_jax.ik import IkConfig
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.collision import closest
 from hybrid_jax.kernels.descent import descend
@@ -41,8 +42,7 @@ class Level(enum.IntEnum):
     FEASIBLE = 4
 
 
-def _solve(chain, position, quat, seed, iterations, config: MapConfig):
-    ik = config.ik
+def _solve(chain, position, quat, seed, iterations, ik: IkConfig):
     pose = dq.from_parts(position, quat)
     q, error = descend(chain, pose, seed, iterations, ik.max_step, ik.damping)
     found = (jnp.linalg.norm(error[:3]) <= ik.position_tolerance) & (
@@ -51,20 +51,22 @@ def _solve(chain, position, quat, seed, iterations, config: MapConfig):
     return q, found
 
 
-def _attempt(cell: Workcell, position, quat, seed, floor, iterations, *, config: MapConfig):
+def _attempt(
+    cell: Workcell, position, quat, seed, floor, iterations, *, ik: IkConfig, margin: float
+):
     """What a seed leads to; see `Judge.attempt`."""
-    q, found = _solve(cell.chain, position, quat, seed, iterations, config)
+    q, found = _solve(cell.chain, position, quat, seed, iterations, ik)
     (gap, own), man = closest(cell, q), manipulability(cell, q)
     free = jnp.where(man >= floor, Level.FEASIBLE, Level.FREE)
-    level = jnp.where(found, jnp.where(gap >= config.margin, free, Level.REACHED), Level.NOTHING)
+    level = jnp.where(found, jnp.where(gap >= margin, free, Level.REACHED), Level.NOTHING)
     return level.astype(jnp.uint8), q, gap, man, own
 
 
-def _stretch(cell: Workcell, position, quat, seed, floor, iterations, *, config: MapConfig):
+def _stretch(cell: Workcell, position, quat, seed, floor, iterations, *, ik: IkConfig):
     """The same for an arm without joint limits: at best `BEYOND_LIMITS`."""
     limits = jnp.array([-1e3, 1e3]) * jnp.ones_like(cell.chain.limits)
     chain = cell.chain.replace(limits=limits)
-    q, found = _solve(chain, position, quat, seed, iterations, config)
+    q, found = _solve(chain, position, quat, seed, iterations, ik)
     level = jnp.where(found, Level.BEYOND_LIMITS, Level.NOTHING).astype(jnp.uint8)
     return level, q, jnp.zeros(()), jnp.zeros(()), jnp.zeros((), bool)
 
@@ -75,6 +77,15 @@ def _sample(cell: Workcell, q):
     return dq.position(pose), pose[:4]
 
 
+@functools.cache
+def _programs(ik: IkConfig, margin: float, devices: tuple):
+    """Compiled programs, shared by all builds that differ in their grids only."""
+    spread = Spread(devices)
+    attempt = functools.partial(_attempt, ik=ik, margin=margin)
+    stretch = functools.partial(_stretch, ik=ik)
+    return spread.over(attempt, 3, 2), spread.over(stretch, 3, 2), spread.over(_sample, 1)
+
+
 class Judge:
     """The compiled programs of one cell, fed with batches of one size over some devices."""
 
@@ -83,9 +94,8 @@ class Judge:
         count = len(self._spread.devices)
         self.batch = -(-config.batch // count) * count
         self._cell = self._spread.share(cell)
-        self._attempt = self._spread.over(functools.partial(_attempt, config=config), 3, 2)
-        self._stretch = self._spread.over(functools.partial(_stretch, config=config), 3, 2)
-        self._sample = self._spread.over(_sample, 1)
+        programs = _programs(config.ik, config.margin, tuple(self._spread.devices))
+        self._attempt, self._stretch, self._sample = programs
         self.floor = np.float32(0.0)
         """Least manipulability of a feasible pose."""
 
