@@ -23,6 +23,8 @@ CONFIG = MapConfig(
     spacing=0.2,
     tilts=(0.0, 0.6),
     yaws=(0.0, 0.75),
+    samples=16,
+    restarts=2,
     batch=256,
 )
 
@@ -116,7 +118,7 @@ def test_an_interrupted_build_goes_on(cell, fmap, tmp_path):
 
     def stop(done, total):
         calls.append(done)
-        if done >= config.size // 3:
+        if done >= config.size // 2:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -127,8 +129,9 @@ def test_an_interrupted_build_goes_on(cell, fmap, tmp_path):
     straight = building.build_feasibility_map(cell, config)
     np.testing.assert_array_equal(resumed.reason, straight.reason)
     np.testing.assert_array_equal(resumed.configuration, straight.configuration)
-    # blocks draw their own random numbers: labels of the whole map differ by chance only
-    assert (np.asarray(resumed.reason) == np.asarray(fmap.reason)).mean() > 0.97
+    # blocks draw their own random numbers: what is feasible differs by chance only
+    same = (np.asarray(resumed.reason) == 0) == (np.asarray(fmap.reason) == 0)
+    assert same.mean() >= 0.98
 
 
 def test_a_map_that_cannot_fit_is_refused_with_its_size(cell):

@@ -28,9 +28,9 @@ class MapConfig:
     """Euler angles about the vertical [rad]."""
     ik: IkConfig = IkConfig(iterations=30)
     """Tolerances and steps of the inverse kinematics; `iterations` from a random seed."""
-    near_iterations: int = 8
+    near_iterations: int = 6
     """Steps from the solution of a neighbouring pose."""
-    samples: int = 4
+    samples: int = 2
     """Random configurations drawn for each pose of the grid, as first seeds."""
     restarts: int = 1
     """Attempts from random seeds at each pose that is reachable but not yet feasible."""
@@ -40,9 +40,11 @@ class MapConfig:
     """Clearance that a feasible configuration keeps [m]."""
     least_manipulability: float = 0.1
     """Smallest `man'` of a feasible pose, as a share of the 95th percentile."""
+    backend: str = "fused"
+    """What checks collisions: `fused` (our kernels) or `mjx`."""
     batch: int = 4096
     """Poses per call of the compiled programs."""
-    slab: int = 4_000_000
+    slab: int = 5_000_000
     """At most so many poses are worked on at a time; memory is bounded by this."""
 
     def __post_init__(self):
@@ -122,8 +124,8 @@ def nearest_cell(config: MapConfig, position: np.ndarray, quat: np.ndarray) -> n
     """Flat index of the grid pose nearest to each pose; -1 outside the volume."""
     voxel = np.round((position - np.array(config.lower)) / config.spacing).astype(int)
     inside = np.all((voxel >= 0) & (voxel < config.shape[:3]), axis=1)
-    turns = orientations(config).astype(np.float32)
-    turn = np.argmax(np.abs(quat.astype(np.float32) @ turns.T), axis=1)
-    voxel = np.where(inside[:, None], voxel, 0)
-    flat = np.ravel_multi_index((*voxel.T, turn), config.shape)
-    return np.where(inside, flat, -1)
+    turns = orientations(config).astype(np.float32).T
+    turn = np.argmax(np.abs(quat[inside].astype(np.float32) @ turns), axis=1)
+    flat = np.full(len(position), -1)
+    flat[inside] = np.ravel_multi_index((*voxel[inside].T, turn), config.shape)
+    return flat

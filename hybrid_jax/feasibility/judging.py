@@ -12,10 +12,10 @@ from hybrid_jax.devices import Spread
 from hybrid_jax.feasibility.grid import MapConfig
 from hybrid_jax.ik import IkConfig
 from hybrid_jax.kernels import dualquat as dq
-from hybrid_jax.kernels.collision import closest
 from hybrid_jax.kernels.descent import descend
 from hybrid_jax.kernels.kinematics import manipulability, tool_pose
 from hybrid_jax.types import Workcell
+from hybrid_jax.workcell.mjxcollision import backend
 
 
 class Reason(enum.IntEnum):
@@ -51,12 +51,10 @@ def _solve(chain, position, quat, seed, iterations, ik: IkConfig):
     return q, found
 
 
-def _attempt(
-    cell: Workcell, position, quat, seed, floor, iterations, *, ik: IkConfig, margin: float
-):
+def _attempt(cell, position, quat, seed, floor, iterations, *, ik: IkConfig, margin: float, check):
     """What a seed leads to; see `Judge.attempt`."""
     q, found = _solve(cell.chain, position, quat, seed, iterations, ik)
-    (gap, own), man = closest(cell, q), manipulability(cell, q)
+    (gap, own), man = check(cell, q), manipulability(cell, q)
     free = jnp.where(man >= floor, Level.FEASIBLE, Level.FREE)
     level = jnp.where(found, jnp.where(gap >= margin, free, Level.REACHED), Level.NOTHING)
     return level.astype(jnp.uint8), q, gap, man, own
@@ -78,10 +76,10 @@ def _sample(cell: Workcell, q):
 
 
 @functools.cache
-def _programs(ik: IkConfig, margin: float, devices: tuple):
+def _programs(ik: IkConfig, margin: float, check, devices: tuple):
     """Compiled programs, shared by all builds that differ in their grids only."""
     spread = Spread(devices)
-    attempt = functools.partial(_attempt, ik=ik, margin=margin)
+    attempt = functools.partial(_attempt, ik=ik, margin=margin, check=check)
     stretch = functools.partial(_stretch, ik=ik)
     return spread.over(attempt, 3, 2), spread.over(stretch, 3, 2), spread.over(_sample, 1)
 
@@ -94,7 +92,9 @@ class Judge:
         count = len(self._spread.devices)
         self.batch = -(-config.batch // count) * count
         self._cell = self._spread.share(cell)
-        programs = _programs(config.ik, config.margin, tuple(self._spread.devices))
+        programs = _programs(
+            config.ik, config.margin, backend(config.backend), tuple(self._spread.devices)
+        )
         self._attempt, self._stretch, self._sample = programs
         self.floor = np.float32(0.0)
         """Least manipulability of a feasible pose."""

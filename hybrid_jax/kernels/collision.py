@@ -6,6 +6,7 @@ over the whole batch (`kernels.batching`). They are exact: see `kernels.nearest`
 """
 
 import functools
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -188,10 +189,17 @@ def closest(cell: Workcell, q: Float[Array, "n"]) -> tuple[Float[Array, ""], Boo
     return found.distance, found.column >= world_shapes(cell).count
 
 
-@functools.partial(jax.jit, static_argnames="samples")
+@functools.partial(jax.jit, static_argnames=("samples", "check"))
 def edge_clearance(
-    cell: Workcell, start: Float[Array, "n"], end: Float[Array, "n"], samples: int = 4
+    cell: Workcell,
+    start: Float[Array, "n"],
+    end: Float[Array, "n"],
+    samples: int = 4,
+    check: Callable = closest,
 ) -> Float[Array, ""]:
-    """Smallest clearance at `samples` evenly spaced points after `start` up to `end` [m]."""
+    """Smallest clearance at `samples` evenly spaced points after `start` up to `end` [m].
+
+    `check` is the collision backend: `closest`, or its counterpart on MJX.
+    """
     phase = jnp.arange(1, samples + 1) / samples
-    return jnp.min(jax.vmap(lambda s: clearance(cell, start + s * (end - start)))(phase))
+    return jnp.min(jax.vmap(lambda s: check(cell, start + s * (end - start))[0])(phase))

@@ -11,6 +11,7 @@ from hybrid_jax.planner.timing import densify, path_clearance
 from hybrid_jax.skills.task import Task
 from hybrid_jax.types import Trajectory, Workcell
 from hybrid_jax.workcell.contacts import may_collide
+from hybrid_jax.workcell.layout import moved_geoms
 
 MAX_STEP = 0.02
 """Joint distance between checked configurations [rad]."""
@@ -32,16 +33,6 @@ def limit_faults(cell: Workcell, trajectory: Trajectory, slack: float = 1.02) ->
         for kind, broken in checks
         for j in np.flatnonzero(broken.any(axis=0))
     ]
-
-
-def _robot_geoms(cell: Workcell) -> np.ndarray:
-    """`[geom]` True for geoms that the arm moves."""
-    model, layout = cell.model, cell.source.layout
-    roots = {int(model.jnt_bodyid[j]) for j in layout.joints}
-    moved = np.zeros(model.nbody, bool)
-    for body in range(1, model.nbody):
-        moved[body] = moved[model.body_parentid[body]] or body in roots
-    return moved[model.geom_bodyid]
 
 
 def engine_collision(
@@ -66,7 +57,7 @@ def engine_collision(
     """
     model, layout = cell.model, cell.source.layout
     data = mujoco.MjData(model)
-    robot = _robot_geoms(cell)
+    robot = moved_geoms(model, layout)
     for address, pose in zip(layout.object_qpos, poses, strict=True):
         data.qpos[address : address + 7] = pose
     data.qpos[[model.jnt_qposadr[j] for j in layout.fingers]] = opening

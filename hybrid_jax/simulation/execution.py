@@ -10,7 +10,7 @@ import numpy as np
 from hybrid_jax.planner.pipeline import PlanResult
 from hybrid_jax.skills.task import Task, require_handling
 from hybrid_jax.types import Trajectory, Workcell
-from hybrid_jax.workcell.layout import home_qpos
+from hybrid_jax.workcell.layout import home_qpos, moved_bodies
 
 
 @dataclass(frozen=True)
@@ -72,16 +72,9 @@ class _Run:
         self.data = data if data is not None else start_data(cell, task)
         self.report = ExecutionReport()
         self.object = self.layout.object_names.index(task.object_name)
-        self.arm = self._moved_bodies()
+        self.arm = moved_bodies(self.model, self.layout)
         self.began = self.data.time
         self.carrying = False
-
-    def _moved_bodies(self) -> np.ndarray:
-        roots = {int(self.model.jnt_bodyid[j]) for j in self.layout.joints}
-        moved = np.zeros(self.model.nbody, bool)
-        for body in range(1, self.model.nbody):
-            moved[body] = moved[self.model.body_parentid[body]] or body in roots
-        return moved
 
     def step(self, q: np.ndarray, grip: float, velocity: np.ndarray | float = 0.0) -> None:
         """One physics step towards a joint target and a gripper command.

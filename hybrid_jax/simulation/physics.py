@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The cell's physics and collision checks on MJX: batched, on any JAX device, from the same model.
+"""The cell's physics on MJX: batched, on any JAX device, from the same model.
 
 On a CPU C MuJoCo is faster (`execution`), on an accelerator this is the engine.
 """
@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jax import Array
 from jaxtyping import Float
 from mujoco import mjx
 
@@ -43,28 +42,6 @@ def hold_command(cell: Workcell, qpos: Float[Array, "nq"]) -> Float[Array, "nu"]
 def step(model: mjx.Model, data: mjx.Data, steps: int) -> mjx.Data:
     """Physics steps under the data's command."""
     return jax.lax.fori_loop(0, steps, lambda _, d: mjx.step(model, d), data)
-
-
-def _robot_geoms(cell: Workcell) -> np.ndarray:
-    """`[geom]` True for geoms that the arm moves."""
-    model, roots = cell.model, {int(cell.model.jnt_bodyid[j]) for j in cell.source.layout.joints}
-    moved = np.zeros(model.nbody, bool)
-    for body in range(1, model.nbody):
-        moved[body] = moved[model.body_parentid[body]] or body in roots
-    return moved[model.geom_bodyid]
-
-
-def clearance(cell: Workcell, model: mjx.Model, q: Float[Array, "n"]) -> Float[Array, ""]:
-    """Smallest distance of the arm to anything that MJX's collision functions find [m].
-
-    The parity partner of `kernels.collision.clearance`, with the objects at home.
-    """
-    layout = cell.source.layout
-    qpos = jnp.asarray(home_qpos(cell.model), jnp.float32).at[jnp.array(layout.qpos)].set(q)
-    data = mjx.collision(model, mjx.kinematics(model, mjx.make_data(cell.model).replace(qpos=qpos)))
-    contact = data._impl.contact
-    involved = jnp.asarray(_robot_geoms(cell))[contact.geom].any(axis=1)
-    return jnp.min(jnp.where(involved, contact.dist, jnp.inf))
 
 
 def settle_in_engine(cell: Workcell, qpos: np.ndarray, steps: int) -> np.ndarray:

@@ -20,6 +20,7 @@ from hybrid_jax.kernels.kinematics import tool_pose
 from hybrid_jax.kernels.rays import RAY_COUNT, sense
 from hybrid_jax.planner.harvest import Segments
 from hybrid_jax.types import Workcell, pytree
+from hybrid_jax.workcell.mjxcollision import backend
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,8 @@ class ReachConfig:
     """Clearance that a move must keep [m]."""
     edge_samples: int = 2
     """Clearance checks along a move."""
+    backend: str = "fused"
+    """What checks collisions: `fused` (our kernels) or `mjx` (without the payload)."""
     horizon: int = 100
     """Steps until an episode is truncated."""
     step_cost: float = 0.02
@@ -167,7 +170,8 @@ class ReachEnv(Env):
         cell, goal = self._scene(world.segment)
         low, high = cell.chain.limits.T
         wanted = jnp.clip(world.q + rules.max_delta * jnp.clip(action, -1, 1), low, high)
-        gap = edge_clearance(cell, world.q, wanted, rules.edge_samples)
+        check = backend(rules.backend)
+        gap = edge_clearance(cell, world.q, wanted, rules.edge_samples, check)
         free = gap >= rules.margin
         q = jnp.where(free, wanted, world.q)
         reached = jnp.max(jnp.abs(goal - q)) <= rules.tolerance

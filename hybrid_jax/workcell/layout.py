@@ -154,6 +154,20 @@ def find_layout(model: mujoco.MjModel, task: Handling | None) -> Layout:
     )
 
 
+def moved_bodies(model: mujoco.MjModel, layout: Layout) -> np.ndarray:
+    """`[body]` True for bodies that the arm moves: links, gripper, fingers."""
+    roots = {int(model.jnt_bodyid[j]) for j in layout.joints}
+    moved = np.zeros(model.nbody, bool)
+    for body in range(1, model.nbody):
+        moved[body] = moved[model.body_parentid[body]] or body in roots
+    return moved
+
+
+def moved_geoms(model: mujoco.MjModel, layout: Layout) -> np.ndarray:
+    """`[geom]` True for geoms that the arm moves."""
+    return moved_bodies(model, layout)[model.geom_bodyid]
+
+
 def home_qpos(model: mujoco.MjModel) -> np.ndarray:
     """Keyframe `home`, else the first keyframe, else the reference configuration; `[nq]`."""
     names = [model.key(i).name for i in range(model.nkey)]
