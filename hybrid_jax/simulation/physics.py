@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
+from jax import Array
 from jaxtyping import Float
 from mujoco import mjx
 

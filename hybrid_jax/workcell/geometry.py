@@ -48,8 +48,9 @@ class Primitive:
 
 def geom_label(model: mujoco.MjModel, geom: int) -> str:
     """How messages name a geom."""
-    body = model.body(model.geom_bodyid[geom]).name
-    return f"{model.geom(geom).name or f'#{geom}'} (of body {body or 'world'!r})"
+    body = int(model.geom_bodyid[geom])
+    label = model.body(body).name or f"#{body}"
+    return f"{model.geom(geom).name or f'#{geom}'} (of body {label!r})"
 
 
 def collision_geoms(model: mujoco.MjModel) -> list[int]:
