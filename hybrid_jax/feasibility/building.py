@@ -5,6 +5,7 @@ import hashlib
 import itertools
 import os
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -202,7 +203,8 @@ def build_feasibility_map(
     limits = np.asarray(cell.joint_limits, np.float64)
     _refuse_too_large(config, len(limits))
     judge = Judge(cell, config, devices)
-    scale = _scale(judge, limits, np.random.default_rng((seed, 0)))
+    quick = Judge(cell, replace(config, backend="fused"), devices)
+    scale = _scale(quick, limits, np.random.default_rng((seed, 0)))
     judge.floor = np.float32(config.least_manipulability * scale)
     stored = _Partial(partial, _fingerprint(cell, config, seed))
     found, done = {}, 0

@@ -13,20 +13,28 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float
-from mujoco import mjx
 
 from hybrid_jax.errors import UnknownNameError
 from hybrid_jax.kernels import collision
 from hybrid_jax.kernels import dualquat as dq
+from hybrid_jax.quiet import import_mjx
 from hybrid_jax.types import Workcell, WorkcellSource
 from hybrid_jax.workcell.layout import home_qpos, moved_geoms
 
 
+def _mjx():
+    """MJX, imported when it is first needed: it takes seconds."""
+    import_mjx()
+    from mujoco import mjx
+
+    return mjx
+
+
 @functools.cache
-def _put(source: WorkcellSource) -> tuple[mjx.Model, mjx.Data]:
+def _put(source: WorkcellSource):
     """The model and a state on the device; outside of any trace."""
     with jax.ensure_compile_time_eval():
-        return mjx.put_model(source.model), mjx.make_data(source.model)
+        return _mjx().put_model(source.model), _mjx().make_data(source.model)
 
 
 def _object_poses(cell: Workcell) -> Float[Array, "object 7"]:
@@ -57,8 +65,8 @@ def closest(cell: Workcell, q: Float[Array, "n"]) -> tuple[Float[Array, ""], Boo
     The counterpart of `kernels.collision.closest`.
     """
     model, data = _put(cell.source)
-    data = mjx.kinematics(model, data.replace(qpos=_state(cell, q)))
-    contact = mjx.collision(model, data)._impl.contact
+    data = _mjx().kinematics(model, data.replace(qpos=_state(cell, q)))
+    contact = _mjx().collision(model, data)._impl.contact
     moved = jnp.asarray(np.asarray(moved_geoms(cell.source.model, cell.source.layout)))
     ours = moved[contact.geom]
     gaps = jnp.where(ours.any(axis=1), contact.dist, collision.FAR)
