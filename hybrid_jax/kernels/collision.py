@@ -33,8 +33,8 @@ from hybrid_jax.kernels.primitives import (
 from hybrid_jax.types import Shapes, Workcell
 
 _ROWS, _PAIRS = 6, 6
-"""Measured at first: the best so many pairs of the best so many rows. Enough for 98 % of random
-configurations of the handling cell."""
+"""Measured at first: the best so many pairs of the best so many rows. More of either makes fewer
+configurations uncertain, and costs more for all."""
 _TABLE = 64
 """Configurations at a time of which every pair is measured: the uncertain, and small batches."""
 
