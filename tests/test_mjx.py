@@ -33,11 +33,14 @@ def test_collision_backends_agree(cell, configurations):
 
 def test_maps_of_both_backends_agree(cell):
     config = MapConfig(
-        lower=(0.3, -0.2, 0.2), upper=(0.6, 0.2, 0.2), spacing=0.3, orientations=3, turns=2,
+        lower=(0.3, -0.2, 0.0), upper=(0.6, 0.2, 0.3), spacing=0.3, orientations=3, turns=2,
         samples=1, restarts=0, batch=32,
     )  # fmt: skip
     maps = [build_feasibility_map(cell, replace(config, backend=name)) for name in BACKENDS]
-    np.testing.assert_array_equal(*(np.asarray(m.reason) < Reason.NEAR_SINGULAR for m in maps))
+    feasible, engine = (np.asarray(m.reason) < Reason.NEAR_SINGULAR for m in maps)
+    np.testing.assert_array_equal(feasible, engine)
+    assert feasible.any()
+    assert (np.asarray(maps[0].reason) == Reason.CELL_COLLISION).any()
     with pytest.raises(UnknownNameError, match="fused"):
         build_feasibility_map(cell, replace(config, backend="bullet"))
 
