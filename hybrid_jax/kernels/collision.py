@@ -32,11 +32,11 @@ from hybrid_jax.kernels.primitives import (
 )
 from hybrid_jax.types import Shapes, Workcell
 
-_FIRST, _SECOND = (4, 4), (16, 16)
-"""Measured of all, and again of those that stay uncertain: the best so many pairs of the best so
-many rows. What is uncertain even then is measured in full."""
-_FEW = 64
-"""Configurations at a time that are measured again; of so small a batch every pair is measured."""
+_ROWS, _PAIRS = 5, 6
+"""Measured at first: the best so many pairs of the best so many rows. More of either makes fewer
+configurations uncertain, and costs more for all."""
+_TABLE = 64
+"""Configurations at a time of which every pair is measured: the uncertain, and small batches."""
 
 
 def _groups(cell: Workcell, own: Blocks, rows: slice, parts: str) -> list:
@@ -60,8 +60,8 @@ def _groups(cell: Workcell, own: Blocks, rows: slice, parts: str) -> list:
     return [groups[name] for name in wanted if groups[name][0].radius.shape[0]]
 
 
-def _kernel(cell: Workcell, q: Array, *, parts: str, effort: tuple[int, int] | None) -> Nearest:
-    """One pass over a batch: the most promising pairs by their bounds, or every pair."""
+def _kernel(cell: Workcell, q: Array, *, parts: str, every: bool) -> Nearest:
+    """One pass over a batch: every pair, or the most promising ones by their bounds."""
     rows, blocks = robot_rows(cell, q)
     slim = cell.robot.shapes.slim + cell.scene.payload.slim
     cover = len(cell.pairs.cover)
@@ -73,7 +73,7 @@ def _kernel(cell: Workcell, q: Array, *, parts: str, effort: tuple[int, int] | N
     groups = _groups(cell, own, slice(None), parts)
     if not groups:
         return answer
-    if effort:
+    if not every:
         bounds = jnp.full(rows.centre.shape[1:], FAR)
         for obstacles, pairing in groups:
             bounds = nearest.row_bounds(rows, obstacles, pairing, bounds)
@@ -83,21 +83,21 @@ def _kernel(cell: Workcell, q: Array, *, parts: str, effort: tuple[int, int] | N
             continue
         mine = [(b, p._replace(allowed=p.allowed[some], payload=p.payload[some]))
                 for b, p in groups]  # fmt: skip
-        if effort:
-            found = _if_needed(few, whole, mine, bounds[some], effort, answer)
-        else:
+        if every:
             found = nearest.tabulate(few, whole, mine)
+        else:
+            found = _if_needed(few, whole, mine, bounds[some], answer)
         answer = answer.merge(found._replace(row=found.row + some.start))
     return answer
 
 
-def _if_needed(rows, whole, groups, bounds, effort, known: Nearest) -> Nearest:
+def _if_needed(rows, whole, groups, bounds, known: Nearest) -> Nearest:
     """Search unless every bound is beyond what is known."""
     least = jnp.min(bounds, axis=0)
     idle = known._replace(distance=jnp.full_like(least, FAR), rest=least)
     return jax.lax.cond(
         jnp.any(least < known.distance),
-        lambda: nearest.search(rows, whole, groups, bounds, *effort),
+        lambda: nearest.search(rows, whole, groups, bounds, _ROWS, _PAIRS),
         lambda: idle,
     )
 
@@ -105,13 +105,11 @@ def _if_needed(rows, whole, groups, bounds, effort, known: Nearest) -> Nearest:
 def _closest(cell: Workcell, q: Array, *, parts: str) -> Nearest:
     """Exact nearest pairs of a batch; leaves `[1 or b, ...]`."""
     q = jnp.broadcast_to(q, (batch_size((cell, q)), q.shape[1]))
-    table = functools.partial(_kernel, parts=parts, effort=None)
-    if q.shape[0] <= _FEW:
+    table = functools.partial(_kernel, parts=parts, every=True)
+    if q.shape[0] <= _TABLE:
         return table(cell, q)
-    found = in_chunks(functools.partial(_kernel, parts=parts, effort=_FIRST), cell, q)
-    again = functools.partial(_kernel, parts=parts, effort=_SECOND)
-    found = redo(again, (cell, q), found, ~found.certain, _FEW)
-    return redo(table, (cell, q), found, ~found.certain, _FEW)
+    found = in_chunks(functools.partial(_kernel, parts=parts, every=False), cell, q)
+    return redo(table, (cell, q), found, ~found.certain, _TABLE)
 
 
 _CLOSEST = {

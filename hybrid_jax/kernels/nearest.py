@@ -3,7 +3,7 @@
 
 Bounds of all pairs are cheap: the distance of enclosing boxes along the world's axes is never
 larger than the distance itself. Only the most promising pairs are measured exactly. The answer is
-certified where no unmeasured pair's bound is below it; for the rest more pairs are measured.
+certified where no unmeasured pair's bound is below it; the rest is measured in full.
 Components first, batch last, throughout. Loops stand where a value has several uses: their operands
 are computed once, while XLA's CPU back end repeats a fused expression for each use.
 """
