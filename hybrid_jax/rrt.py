@@ -14,7 +14,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float, PRNGKeyArray
 
-from hybrid_jax.kernels.collision import edge_clearance
+from hybrid_jax.kernels.collision import clearance, edge_clearance, points_between
 from hybrid_jax.types import Scene, Workcell, pytree
 
 
@@ -76,7 +76,11 @@ def _iterate(cell: Workcell, config: RrtConfig, state: _State, turn: Array) -> _
     near, away = _nearest(tree, target)
     start = tree.nodes[near]
     new = start + (target - start) * jnp.minimum(1.0, config.step / jnp.maximum(away, 1e-6))
-    free = edge_clearance(cell, start, new, config.edge_samples) >= config.margin
+    meet, gap = _nearest(other, new)
+    extension = points_between(start, new, config.edge_samples)
+    bridge = points_between(new, other.nodes[meet], config.join_samples)
+    clear = jax.vmap(clearance, (None, 0))(cell, jnp.concatenate([extension, bridge]))
+    free, joined = (jnp.all(part >= config.margin) for part in jnp.split(clear, [len(extension)]))
     add = free & ~state.solved & (tree.count < config.nodes)
     at = jnp.where(add, tree.count, config.nodes)
     grown = tree.replace(
@@ -84,8 +88,6 @@ def _iterate(cell: Workcell, config: RrtConfig, state: _State, turn: Array) -> _
         parents=tree.parents.at[at].set(near, mode="drop"),
         count=tree.count + add,
     )
-    meet, gap = _nearest(other, new)
-    joined = edge_clearance(cell, new, other.nodes[meet], config.join_samples) >= config.margin
     joined &= add & (gap <= config.reach)
     pair = jnp.where(turn == 0, jnp.stack([at, meet]), jnp.stack([meet, at]))
     trees = jax.tree.map(lambda all_, one: all_.at[turn].set(one), state.trees, grown)

@@ -201,5 +201,13 @@ def edge_clearance(
 
     `check` is the collision backend: `closest`, or its counterpart on MJX.
     """
-    phase = jnp.arange(1, samples + 1) / samples
-    return jnp.min(jax.vmap(lambda s: check(cell, start + s * (end - start))[0])(phase))
+    points = points_between(start, end, samples)
+    return jnp.min(jax.vmap(lambda q: check(cell, q)[0])(points))
+
+
+def points_between(
+    start: Float[Array, "n"], end: Float[Array, "n"], samples: int
+) -> Float[Array, "sample n"]:
+    """Evenly spaced points of a straight edge after `start` up to `end`."""
+    phase = jnp.arange(1, samples + 1)[:, None] / samples
+    return start + phase * (end - start)

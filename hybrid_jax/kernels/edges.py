@@ -71,8 +71,8 @@ def edge_is_free(
         onward = jnp.where((reached >= 1.0) & (phase < 1.0), 1.0, reached)
         return onward, jnp.minimum(least, gap)
 
-    first = clearance(cell, start)
+    first, last = jax.vmap(clearance, (None, 0))(cell, jnp.stack([start, end]))
     phase = (first - margin) / jnp.maximum(length, 1e-9)
     phase, least = jax.lax.while_loop(going, advance, (jnp.clip(phase, 0.0, 1.0), first))
-    least = jnp.minimum(least, clearance(cell, end))
+    least = jnp.minimum(least, last)
     return least >= margin + tolerance, least

@@ -213,16 +213,19 @@ def _pick(groups: list[Blocks], column: Array) -> Blocks:
 
 def tabulate(rows, whole, groups) -> Nearest:
     """Measure every pair: the plain answer, for few configurations."""
-    tables = []
-    for blocks, pairing in groups:
-        counts = _counts(pairing)
+    blocks = Blocks(*(_join(a) for a in zip(*(blocks for blocks, _ in groups), strict=True)))
+    counts = jnp.swapaxes(_join([_counts(p).swapaxes(0, 1) for _, p in groups]), 0, 1)
 
-        def column(i, blocks=blocks, counts=counts):
-            gap = measure(rows, whole, _column(blocks, i))
-            return jnp.where(counts[i] > 0, gap, FAR)
+    def column(i):
+        gap = measure(rows, whole, _column(blocks, i))
+        return jnp.where(counts[i] > 0, gap, FAR)
 
-        tables.append(jax.lax.map(column, jnp.arange(blocks.radius.shape[0])))
-    best, at, _ = _smallest(jnp.concatenate(tables), 1)
-    best, at = best[0], at[0]
-    found, row, _ = _smallest(best, 1)
-    return Nearest(found[0], row[0], _take(at, row)[0], jnp.full_like(found[0], FAR))
+    best, at, _ = _smallest(jax.lax.map(column, jnp.arange(blocks.radius.shape[0])), 1)
+    found, row, _ = _smallest(best[0], 1)
+    return Nearest(found[0], row[0], _take(at[0], row)[0], jnp.full_like(found[0], FAR))
+
+
+def _join(parts) -> Array:
+    """Columns of several groups as one list: along the axis before the batch."""
+    batch = max(a.shape[-1] for a in parts)
+    return jnp.concatenate([jnp.broadcast_to(a, (*a.shape[:-1], batch)) for a in parts], axis=-2)

@@ -96,13 +96,6 @@ def _joints(chain: KinematicChain) -> int:
     return chain.axis.shape[-2]
 
 
-def _runs(links: list[int], slim: int) -> list[tuple[int, bool, int, int]]:
-    """Stretches of rows of one link and kind: (link, are they capsules, first, beyond last)."""
-    keys = [(link, i < slim) for i, link in enumerate(links)]
-    cuts = [i for i in range(len(keys)) if i == 0 or keys[i] != keys[i - 1]] + [len(keys)]
-    return [(*keys[i], i, j) for i, j in zip(cuts[:-1], cuts[1:], strict=True)]
-
-
 def _radius(shapes: Shapes) -> Array:
     return jnp.where(shapes.on > 0, shapes.radius, -FAR)
 
@@ -139,19 +132,20 @@ def robot_rows(cell: Workcell, q: Array) -> tuple[Rows, Blocks]:
         All rows, and as blocks the rows of `block_rows`.
     """
     shapes = local_shapes(cell)
+    links, wanted = jnp.array(row_links(cell)), block_rows(cell)
     place, rotations = link_frames(cell.chain, q)
+    place, turn = (jnp.take(a, links, axis=-2, mode="clip") for a in (place, rotations))
     centre, rotation, half = _local(shapes)
     radius = _radius(shapes).T
-    links, wanted = row_links(cell), block_rows(cell)
-    rows = [
-        _place_run(place[:, k], rotations[:, :, k], centre, rotation, half, slice(i, j), slim)
-        for k, slim, i, j in _runs(links, shapes.slim)
-    ]
-    rows = jnp.concatenate(rows, axis=1)  # [9, row, b]
-    blocks = _blocks(rotations, rotation, links, wanted)
-    centre, half, extent, radii = (_some(a, wanted) for a in (rows[0:3], half, rows[6:9], radius))
-    chosen = Blocks(centre, blocks, half, extent, radii)
-    return Rows(rows[0:3], rows[3:6], rows[6:9], radius), chosen
+    centre = co.stack(co.add(place, co.turn(turn, centre)))
+    axes = [co.turn(turn, [rotation[i][k] * half[k] for i in range(3)]) for k in range(3)]
+    extent = co.stack([sum(jnp.abs(axis[i]) for axis in axes) for i in range(3)])
+    rows = Rows(centre, co.stack(axes[2]), extent, radius)
+    parts = (centre, turn, co.stack(rotation), half, extent, radius)
+    centre, turn, rotation, half, extent, radius = (_some(a, wanted) for a in parts)
+    axes = [co.turn(turn, rotation[:, k]) for k in range(3)]
+    rotation = co.stack([[axes[k][i] for k in range(3)] for i in range(3)])
+    return rows, Blocks(centre, rotation, half, extent, radius)
 
 
 def _some(array: Array, rows: list[int]) -> Array:
@@ -161,31 +155,9 @@ def _some(array: Array, rows: list[int]) -> Array:
     return jnp.stack([array[..., r, :] for r in rows], axis=-2)
 
 
-def _place_run(place, turn, centre, rotation, half, rows: slice, slim: bool) -> Array:
-    """Centre, half axis and extent `[9, run, b]` of the rows that one link carries."""
-    turn, place = turn[:, :, None], place[:, None]
-    moved = co.add(place, co.turn(turn, centre[:, rows]))
-    axes = [
-        co.turn(turn, [rotation[i][k][rows] * half[k, rows] for i in range(3)])
-        for k in ((2,) if slim else (2, 0, 1))
-    ]
-    extent = [sum(jnp.abs(axis[i]) for axis in axes) for i in range(3)]
-    return co.stack([*moved, *axes[0], *extent])
-
-
 def block_rows(cell: Workcell) -> list[int]:
     """Rows that are needed whole: the cover of the self pairs, then boxes."""
     slim = cell.robot.shapes.slim + cell.scene.payload.slim
     count = cell.robot.shapes.count + cell.scene.payload.count
     return list(cell.pairs.cover) + list(range(slim, count))
 
-
-def _blocks(rotations, rotation, links, wanted) -> Array:
-    """World rotations `[3, 3, n, b]` of some rows."""
-    found = []
-    for r in wanted:
-        local = [[rotation[i][k][r] for i in range(3)] for k in range(3)]
-        axes = [co.turn(rotations[:, :, links[r]], local[k]) for k in range(3)]
-        found.append(jnp.stack([jnp.stack([axes[k][i] for k in range(3)]) for i in range(3)]))
-    batch = rotations.shape[-1]
-    return jnp.stack(found, axis=2) if found else jnp.zeros((3, 3, 0, batch))
