@@ -160,4 +160,3 @@ def block_rows(cell: Workcell) -> list[int]:
     slim = cell.robot.shapes.slim + cell.scene.payload.slim
     count = cell.robot.shapes.count + cell.scene.payload.count
     return list(cell.pairs.cover) + list(range(slim, count))
-
