@@ -14,6 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hybrid_jax.kernels.primitives import local_shapes, row_links, world_shapes
+from hybrid_jax.quiet import engine_messages
 from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.assets import find_workcell
 from hybrid_jax.workcell.layout import home_qpos
@@ -21,15 +22,16 @@ from hybrid_jax.workcell.layout import home_qpos
 
 def welded_model(name: str) -> mujoco.MjModel:
     """The cell with its objects welded: the engine then skips their contacts with the world."""
-    spec = mujoco.MjSpec.from_file(str(find_workcell(name)))
-    for joint in list(spec.joints):
-        if joint.type == mujoco.mjtJoint.mjJNT_FREE:
-            spec.delete(joint)
-    for key in list(spec.keys):
-        spec.delete(key)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # about attaching the robot without a prefix
-        return spec.compile()
+    with engine_messages(name):
+        spec = mujoco.MjSpec.from_file(str(find_workcell(name)))
+        for joint in list(spec.joints):
+            if joint.type == mujoco.mjtJoint.mjJNT_FREE:
+                spec.delete(joint)
+        for key in list(spec.keys):
+            spec.delete(key)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the same message, once more by Python's means
+            return spec.compile()
 
 
 class Engine:

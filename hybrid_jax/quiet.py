@@ -1,9 +1,15 @@
 # SPDX-License-Identifier: MIT
-"""Keep what dependencies print while they are imported off the user's terminal."""
+"""Keep what dependencies print without need off the user's terminal."""
 
 import contextlib
 import io
+import re
 import sys
+from collections.abc import Iterator
+
+import mujoco
+
+_HARMLESS = re.compile("Attaching a spec with an empty prefix")
 
 
 def import_mjx() -> None:
@@ -11,3 +17,17 @@ def import_mjx() -> None:
     if "mujoco.mjx" not in sys.modules:
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
             import mujoco.mjx  # noqa: F401, PLC0415
+
+
+@contextlib.contextmanager
+def engine_messages(name: str) -> Iterator[None]:
+    """Print MuJoCo's warnings with the name of the cell they are about; drop the harmless ones."""
+    heard = []
+    mujoco.set_mju_user_warning(heard.append)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(None)
+        for text in heard:
+            if not _HARMLESS.match(text):
+                print(f"MuJoCo on {name}: {text}")

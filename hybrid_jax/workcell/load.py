@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """From a name or a file to a work cell that is fit to plan in."""
 
-import re
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -9,6 +8,7 @@ import mujoco
 import numpy as np
 
 from hybrid_jax.errors import WorkcellError
+from hybrid_jax.quiet import engine_messages
 from hybrid_jax.types import Workcell
 from hybrid_jax.workcell import geometry
 from hybrid_jax.workcell.assets import find_workcell
@@ -17,8 +17,6 @@ from hybrid_jax.workcell.contacts import may_collide
 from hybrid_jax.workcell.description import read_handling
 from hybrid_jax.workcell.layout import TOOL_NAMES, home_qpos
 from hybrid_jax.workcell.scene import place_objects
-
-_HARMLESS = re.compile("Attaching a spec with an empty prefix")
 
 
 def _read_urdf(path: Path) -> mujoco.MjModel:
@@ -36,21 +34,15 @@ def read_model(path: Path) -> mujoco.MjModel:
     Raises:
         WorkcellError: MuJoCo cannot read it; its own message is passed on.
     """
-    heard = []
-    mujoco.set_mju_user_warning(heard.append)
     try:
-        if path.suffix == ".mjb":
-            return mujoco.MjModel.from_binary_path(str(path))
-        if path.suffix == ".urdf":
-            return _read_urdf(path)
-        return mujoco.MjModel.from_xml_path(str(path))
+        with engine_messages(path.name):
+            if path.suffix == ".mjb":
+                return mujoco.MjModel.from_binary_path(str(path))
+            if path.suffix == ".urdf":
+                return _read_urdf(path)
+            return mujoco.MjModel.from_xml_path(str(path))
     except ValueError as error:
         raise WorkcellError(f"{path.name}: MuJoCo cannot read it: {error}") from None
-    finally:
-        mujoco.set_mju_user_warning(None)
-        for text in heard:
-            if not _HARMLESS.match(text):
-                print(f"MuJoCo on {path.name}: {text}")
 
 
 def check_home(model: mujoco.MjModel, robot_geoms: set[int]) -> None:
