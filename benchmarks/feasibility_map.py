@@ -125,7 +125,7 @@ def reachable_found(cell, spread) -> tuple[float, float]:
     return float(np.mean(good)), speed
 
 
-def bullet_rate(cell) -> tuple[float, float, float] | None:
+def bullet_rate(cell) -> tuple[float, ...] | None:
     """Poses per second of IK and collision in PyBullet, with the shares solved and feasible."""
     bullet = rivals.bullet(cell)
     if not bullet:
@@ -146,6 +146,7 @@ def main(json: Path | None = None, picture: Path | None = None) -> None:
     began = time.perf_counter()
     build_feasibility_map(cell, MapConfig(spacing=0.4, orientations=2))
     compiled = time.perf_counter() - began
+    rival = bullet_rate(cell)
     began = time.perf_counter()
     fmap = build_feasibility_map(cell, GRID, progress=Progress("map", "poses"))
     seconds = time.perf_counter() - began
@@ -173,8 +174,8 @@ def main(json: Path | None = None, picture: Path | None = None) -> None:
         metric("map.ik_found", found, "1", "higher", f"of {REACHABLE} poses, {ik_rate:.0f}/s"),
         metric("map.query", 1e6 / asked, "us", "lower", "each, in a batch of 4096"),
     ]  # fmt: skip
-    rival = bullet_rate(cell)
     if rival:
+        rival = max(rival, bullet_rate(cell))  # before and after: a slow minute is not the rival's
         note = f"one seed; solves {rival[1]:.3f}, calls {rival[2]:.3f} feasible"
         figures.append(metric("map.pybullet", rival[0], "1/s", "higher", note))
         figures.append(metric("map.poses_vs_pybullet", speed / rival[0], "1", "higher"))

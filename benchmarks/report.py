@@ -28,6 +28,22 @@ def rate(run: Callable[[], object], count: int, seconds: float = 2.0) -> tuple[f
     return calls * count / (time.perf_counter() - began), first
 
 
+def race(runs: dict[str, tuple[Callable[[], object], int]], rounds: int = 8) -> dict[str, float]:
+    """Items per second of several contenders, each the best of its rounds.
+
+    They take turns, so that whatever else slows the machine down slows all of them.
+
+    Args:
+        runs: by name, what to run and how many items it handles; all have run once before.
+        rounds: turns of each, half a second long.
+    """
+    best = dict.fromkeys(runs, 0.0)
+    for _ in range(rounds):
+        for name, (run, count) in runs.items():
+            best[name] = max(best[name], rate(run, count, 0.5)[0])
+    return best
+
+
 def write(metrics: list[dict], path: Path | None) -> None:
     """Print the figures as a table, and write them as JSON if a path is given."""
     for m in metrics:

@@ -22,7 +22,6 @@ from hybrid_jax.kernels.kinematics import link_frames
 from hybrid_jax.kernels.nearest import Nearest, Pairing
 from hybrid_jax.kernels.primitives import (
     Blocks,
-    Rows,
     joined_order,
     local_shapes,
     robot_rows,
@@ -39,12 +38,12 @@ _TABLE = 64
 """Configurations at a time of which every pair is measured: the uncertain, and small batches."""
 
 
-def _groups(cell: Workcell, own: Blocks, rows: slice, parts: str) -> list:
-    """Obstacles of some rows and which of them count."""
+def _groups(cell: Workcell, own: Blocks, parts: str) -> list:
+    """Obstacles and which of them count for which row."""
     pairs, scene, fixtures = cell.pairs, cell.scene, cell.fixtures
     if pairs.world.shape[0] != 1:
         raise ValueError("a batch of cells must share its contact pairs: vmap over scenes only")
-    payload = pairs.payload[0, rows]
+    payload = pairs.payload[0]
     order = jnp.array(
         joined_order((fixtures.slim, scene.objects.slim), (fixtures.count, scene.objects.count)),
         int,
@@ -53,8 +52,8 @@ def _groups(cell: Workcell, own: Blocks, rows: slice, parts: str) -> list:
     support = jnp.concatenate([scene.support_on, objects], axis=1)[:, order].T
     spared = jnp.ones((own.radius.shape[0], 1))
     groups = {
-        "world": (world_blocks(cell), Pairing(pairs.world[0, rows], payload, support)),
-        "own": (own, Pairing(pairs.own[0, rows], payload, spared)),
+        "world": (world_blocks(cell), Pairing(pairs.world[0], payload, support)),
+        "own": (own, Pairing(pairs.own[0], payload, spared)),
     }
     wanted = ("world", "own") if parts == "all" else (parts,)
     return [groups[name] for name in wanted if groups[name][0].radius.shape[0]]
@@ -70,34 +69,31 @@ def _kernel(cell: Workcell, q: Array, *, parts: str, every: bool) -> Nearest:
     batch = q.shape[0]
     zero = jnp.zeros(batch, jnp.int32)
     answer = Nearest(jnp.full(batch, FAR), zero, zero, jnp.full(batch, FAR))
-    groups = _groups(cell, own, slice(None), parts)
+    groups = _groups(cell, own, parts)
     if not groups:
         return answer
     if not every:
         bounds = jnp.full(rows.centre.shape[1:], FAR)
         for obstacles, pairing in groups:
             bounds = nearest.row_bounds(rows, obstacles, pairing, bounds)
-    for some, whole in ((slice(0, slim), None), (slice(slim, None), boxes)):
-        few = Rows(*(a[..., some, :] for a in rows))
-        if few.radius.shape[0] == 0:
+    for some, whole in ((slice(0, slim), None), (slice(slim, rows.radius.shape[0]), boxes)):
+        if some.start == some.stop:
             continue
-        mine = [(b, p._replace(allowed=p.allowed[some], payload=p.payload[some]))
-                for b, p in groups]  # fmt: skip
         if every:
-            found = nearest.tabulate(few, whole, mine)
+            found = nearest.tabulate(rows, whole, groups, some)
         else:
-            found = _if_needed(few, whole, mine, bounds[some], answer)
-        answer = answer.merge(found._replace(row=found.row + some.start))
+            found = _if_needed(rows, whole, groups, some, bounds, answer)
+        answer = answer.merge(found)
     return answer
 
 
-def _if_needed(rows, whole, groups, bounds, known: Nearest) -> Nearest:
+def _if_needed(rows, whole, groups, some: slice, bounds, known: Nearest) -> Nearest:
     """Search unless every bound is beyond what is known."""
-    least = jnp.min(bounds, axis=0)
+    least = jnp.min(bounds[some], axis=0)
     idle = known._replace(distance=jnp.full_like(least, FAR), rest=least)
     return jax.lax.cond(
         jnp.any(least < known.distance),
-        lambda: nearest.search(rows, whole, groups, bounds, _ROWS, _PAIRS),
+        lambda: nearest.search(rows, whole, groups, some, bounds, _ROWS, _PAIRS),
         lambda: idle,
     )
 

@@ -20,6 +20,8 @@ from hybrid_jax.kernels.primitives import Blocks, Rows
 
 _WORD = 24
 """Flags in one word: float32 counts that far exactly."""
+_MANY = 16
+"""Columns from which on a rough bound pays: fixtures yes, the robot's own few links no."""
 
 
 class Pairing(NamedTuple):
@@ -57,12 +59,25 @@ class Nearest(NamedTuple):
         return Nearest(*pick, jnp.minimum(self.rest, other.rest))
 
 
+def _gaps(centre, extent, other) -> list[Array]:
+    """Gaps of the enclosing boxes along the world's axes, without the balls."""
+    return [jnp.abs(centre[i] - other.centre[i]) - extent[i] - other.extent[i] for i in range(3)]
+
+
+def _worst(gaps: list[Array]) -> Array:
+    return jnp.maximum(jnp.maximum(gaps[0], gaps[1]), gaps[2])
+
+
 def _bound(centre, extent, radius, other) -> Array:
     """Lower bound of the signed distance: that of the enclosing boxes, less the radii."""
-    gaps = [jnp.abs(centre[i] - other.centre[i]) - extent[i] - other.extent[i] for i in range(3)]
+    gaps = _gaps(centre, extent, other)
     apart = jnp.sqrt(sum(jnp.square(jnp.maximum(g, 0.0)) for g in gaps))
-    depth = jnp.minimum(jnp.maximum(jnp.maximum(gaps[0], gaps[1]), gaps[2]), 0.0)
-    return apart + depth - radius - other.radius
+    return apart + jnp.minimum(_worst(gaps), 0.0) - radius - other.radius
+
+
+def _rough_bound(centre, extent, radius, other) -> Array:
+    """The same along the worst axis alone: a third cheaper, and looser."""
+    return _worst(_gaps(centre, extent, other)) - radius - other.radius
 
 
 def _column(record, index: Array):
@@ -85,13 +100,13 @@ def _counts(pairing: Pairing) -> Array:
 def row_bounds(rows: Rows, blocks: Blocks, pairing: Pairing, best: Array) -> Array:
     """Smallest bound of each row over the columns, `[row, b]`, starting from `best`."""
 
-    counts = _counts(pairing)
+    counts, count = _counts(pairing), blocks.radius.shape[0]
+    bound = _rough_bound if count >= _MANY else _bound
 
     def step(i, best):
-        found = _bound(rows.centre, rows.extent, rows.radius, _column(blocks, i))
+        found = bound(rows.centre, rows.extent, rows.radius, _column(blocks, i))
         return jnp.minimum(best, jnp.where(counts[i] > 0, found, FAR))
 
-    count = blocks.radius.shape[0]
     # several columns in one pass over the rows, without a remainder outside the loop
     unroll = next(n for n in (4, 3, 2, 1) if count % n == 0 and (count > n or n == 1))
     return jax.lax.fori_loop(0, count, step, best, unroll=unroll)
@@ -147,18 +162,21 @@ def _row_flags(allowed: Array, row: Array) -> Array:
     return jnp.concatenate(words)
 
 
-def search(rows, whole, groups, best: Array, count: int, pairs: int) -> Nearest:
+def search(rows, whole, groups, some: slice, best: Array, count: int, pairs: int) -> Nearest:
     """Measure the most promising pairs: the best `pairs` of those of the best `count` rows.
 
     Args:
-        rows, whole: as for `measure`.
+        rows: the robot's primitives.
+        whole: those of `some` as blocks where they are boxes, else None.
         groups: (blocks, pairing) of obstacles, columns numbered through.
+        some: the rows to search, all capsules or all boxes.
         best: `row_bounds` over all groups.
     """
     columns = sum(blocks.radius.shape[0] for blocks, _ in groups)
-    count = min(count, best.shape[0])
+    count = min(count, some.stop - some.start)
     pairs = min(pairs, count * columns)
-    _, row, other_rows = _smallest(best, count)
+    _, place, other_rows = _smallest(best[some], count)
+    row = place + some.start
     taken = _take_rows(rows, row)
     bounds = []
     for blocks, pairing in groups:
@@ -172,7 +190,7 @@ def search(rows, whole, groups, best: Array, count: int, pairs: int) -> Nearest:
     column, which = at // count, at % count
     chosen = (
         _take_rows(taken, which),
-        whole and _take_rows(whole, _take(row, which)),
+        whole and _take_rows(whole, _take(place, which)),
         _pick([b for b, _ in groups], column),
     )
 
@@ -211,10 +229,12 @@ def _pick(groups: list[Blocks], column: Array) -> Blocks:
     return jax.tree.map(lambda *a: sum(a), *parts)
 
 
-def tabulate(rows, whole, groups) -> Nearest:
-    """Measure every pair: the plain answer, for few configurations."""
+def tabulate(rows, whole, groups, some: slice) -> Nearest:
+    """Measure every pair of `some` rows: the plain answer, for few configurations."""
+    rows = Rows(*(a[..., some, :] for a in rows))
     blocks = Blocks(*(_join(a) for a in zip(*(blocks for blocks, _ in groups), strict=True)))
     counts = jnp.swapaxes(_join([_counts(p).swapaxes(0, 1) for _, p in groups]), 0, 1)
+    counts = counts[:, some]
 
     def column(i):
         gap = measure(rows, whole, _column(blocks, i))
@@ -222,7 +242,8 @@ def tabulate(rows, whole, groups) -> Nearest:
 
     best, at, _ = _smallest(jax.lax.map(column, jnp.arange(blocks.radius.shape[0])), 1)
     found, row, _ = _smallest(best[0], 1)
-    return Nearest(found[0], row[0], _take(at[0], row)[0], jnp.full_like(found[0], FAR))
+    winner = _take(at[0], row)[0]
+    return Nearest(found[0], row[0] + some.start, winner, jnp.full_like(found[0], FAR))
 
 
 def _join(parts) -> Array:
