@@ -58,7 +58,7 @@ def _slice(ax, values: np.ndarray, axes: list[np.ndarray], across: int, **style)
               axes[v][0] - step[1], axes[v][-1] + step[1])  # fmt: skip
     ax.imshow(np.take(values, middle, across).T, origin="lower", extent=extent, **style)
     ax.set(xlabel=f"{'xyz'[u]} [m]", ylabel=f"{'xyz'[v]} [m]",
-           title=f"at {'xyz'[across]} = {axes[across][middle]:.2f} m")  # fmt: skip
+           title=f"at {'xyz'[across]} = {round(axes[across][middle], 2) + 0.0:.2f} m")  # fmt: skip
 
 
 def draw_map(path: Path, fmap: FeasibilityMap) -> None:
