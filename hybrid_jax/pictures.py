@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Pictures of a run: learning curves, the feasibility map, a film of the execution."""
 
+import warnings
 from pathlib import Path
 
 import matplotlib
@@ -46,6 +47,7 @@ def _share_cloud(ax, share: np.ndarray, axes: list[np.ndarray]):
     shown = ax.scatter(*grid.T, c=share.ravel(), cmap="coolwarm", s=10, alpha=0.5, vmin=0, vmax=1)
     ax.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", title="feasible share of orientations")
     ax.set_aspect("equal")
+    ax.locator_params(nbins=5)
     return shown
 
 
@@ -132,6 +134,9 @@ class Film:
         try:
             import imageio.v2 as imageio  # noqa: PLC0415
 
-            imageio.mimwrite(folder / "demo.mp4", self.frames, fps=FPS, macro_block_size=1)
+            with warnings.catch_warnings():
+                # JAX warns of every fork; this child starts ffmpeg at once
+                warnings.simplefilter("ignore", RuntimeWarning)
+                imageio.mimwrite(folder / "demo.mp4", self.frames, fps=FPS, macro_block_size=1)
         except (ImportError, OSError, ValueError) as error:
             print(f"no demo.mp4 ({error}); the moments are in demo.png")
