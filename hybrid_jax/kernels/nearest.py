@@ -230,19 +230,26 @@ def _pick(groups: list[Blocks], column: Array) -> Blocks:
 
 
 def tabulate(rows, whole, groups, some: slice) -> Nearest:
-    """Measure every pair of `some` rows: the plain answer, for few configurations."""
-    rows = Rows(*(a[..., some, :] for a in rows))
-    blocks = Blocks(*(_join(a) for a in zip(*(blocks for blocks, _ in groups), strict=True)))
+    """Measure every pair of `some` rows: the plain answer, for few configurations.
+
+    All pairs at once, then the least of them by a loop: slices of columns inside the measuring, or
+    a minimum that is merged with it, do not vectorise on a CPU.
+    """
+    rows = Rows(*(a[..., None, some, :] for a in rows))
+    whole = whole and Blocks(*(a[..., None, :, :] for a in whole))
+    blocks = Blocks(*(_join(a)[..., None, :] for a in zip(*(b for b, _ in groups), strict=True)))
     counts = jnp.swapaxes(_join([_counts(p).swapaxes(0, 1) for _, p in groups]), 0, 1)
-    counts = counts[:, some]
+    gap = jnp.where(counts[:, some] > 0, measure(rows, whole, blocks), FAR)
 
-    def column(i):
-        gap = measure(rows, whole, _column(blocks, i))
-        return jnp.where(counts[i] > 0, gap, FAR)
+    def nearer(i, state):
+        best, at = state
+        here = jax.lax.dynamic_index_in_dim(gap, i, keepdims=False)
+        return jnp.minimum(best, here), jnp.where(here < best, i, at)
 
-    best, at, _ = _smallest(jax.lax.map(column, jnp.arange(blocks.radius.shape[0])), 1)
-    found, row, _ = _smallest(best[0], 1)
-    winner = _take(at[0], row)[0]
+    start = jnp.full(gap.shape[1:], FAR), jnp.zeros(gap.shape[1:], jnp.int32)
+    best, at = jax.lax.fori_loop(0, gap.shape[0], nearer, start)
+    found, row, _ = _smallest(best, 1)
+    winner = _take(at, row)[0]
     return Nearest(found[0], row[0] + some.start, winner, jnp.full_like(found[0], FAR))
 
 
