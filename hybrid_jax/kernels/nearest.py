@@ -76,7 +76,7 @@ def _bound(centre, extent, radius, other) -> Array:
 
 
 def _rough_bound(centre, extent, radius, other) -> Array:
-    """The same along the worst axis alone: a third cheaper, and looser."""
+    """The same along the worst axis alone: cheaper, without a root, and looser."""
     return _worst(_gaps(centre, extent, other)) - radius - other.radius
 
 
