@@ -2,6 +2,8 @@
 """Spread batches over the devices of a machine; on a CPU, over its cores."""
 
 import os
+import re
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -15,6 +17,18 @@ def use_all_cores() -> None:
     be worth sharing. Call it first: once a device has been used it has no effect.
     """
     jax.config.update("jax_num_cpu_devices", len(os.sched_getaffinity(0)))
+
+
+def vector_options() -> dict[str, int] | None:
+    """Options of XLA for element-wise kernels on this machine, None for its own.
+
+    XLA holds back from the widest vectors of x86 processors, whose clock they once lowered; the
+    clearance kernel is 13 % faster with them.
+    """
+    about = Path("/proc/cpuinfo")
+    wide = about.is_file() and re.search(r"^flags.*\bavx512f\b", about.read_text(), re.MULTILINE)
+    on_cpu = jax.default_backend() == "cpu"
+    return {"xla_cpu_prefer_vector_width": 512} if wide and on_cpu else None
 
 
 class Spread:
@@ -49,6 +63,7 @@ class Spread:
 
         split, whole = PartitionSpec("item"), PartitionSpec()
         specs = (whole, *[split] * items, *[whole] * shared)
-        return jax.jit(
-            jax.shard_map(run, mesh=self.mesh, in_specs=specs, out_specs=split, check_vma=False)
+        spread = jax.shard_map(
+            run, mesh=self.mesh, in_specs=specs, out_specs=split, check_vma=False
         )
+        return jax.jit(spread, compiler_options=vector_options())
