@@ -11,6 +11,8 @@ from jax import Array
 from jaxtyping import Float
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+_SERIES = 0.01
+"""Squared angle below which differences that cancel are written as series [rad^2]."""
 
 
 def quat_mul(a: Float[Array, "*b 4"], b: Float[Array, "*b 4"]) -> Float[Array, "*b 4"]:
@@ -130,7 +132,8 @@ def exp(twist: Float[Array, "*b 6"]) -> Float[Array, "*b 8"]:
     cos_half = jnp.where(small, 1 - sq / 8, jnp.cos(angle / 2))
     b = 2 * half_sinc * half_sinc
     # (angle - sin angle) / angle^3, its series where it cancels
-    c = jnp.where(sq < 0.01, 1 / 6 - sq / 120, (1 - 2 * half_sinc * cos_half) / sq_safe)
+    series = 1 / 6 - sq * (1 / 120 - sq * (1 / 5040 - sq / 362880))
+    c = jnp.where(sq < _SERIES, series, (1 - 2 * half_sinc * cos_half) / sq_safe)
     wv = jnp.cross(w, v)
     t = v + b * wv + c * jnp.cross(w, wv)
     return from_parts(t, jnp.concatenate([cos_half, half_sinc * w], axis=-1))
@@ -144,10 +147,11 @@ def log(q: Float[Array, "*b 8"]) -> Float[Array, "*b 6"]:
     w = quat_log(q[..., :4])
     t = position(q)
     sq = jnp.sum(w * w, axis=-1, keepdims=True)
-    small = sq < 0.01
+    small = sq < _SERIES
     sq_safe = jnp.where(small, 1.0, sq)
     half = jnp.sqrt(sq_safe) / 2
-    d = jnp.where(small, 1 / 12 + sq / 720, (1 - half / jnp.tan(half)) / sq_safe)
+    series = 1 / 12 + sq * (1 / 720 + sq * (1 / 30240 + sq / 1209600))
+    d = jnp.where(small, series, (1 - half / jnp.tan(half)) / sq_safe)
     wt = jnp.cross(w, t)
     return jnp.concatenate([t - 0.5 * wt + d * jnp.cross(w, wt), w], axis=-1)
 
