@@ -26,6 +26,10 @@ class RunFolderError(HybridJaxError):
     """A run folder that is incomplete, damaged or belongs to another cell."""
 
 
+class DemonstrationError(HybridJaxError, ValueError):
+    """A recording that no skill can be made of: the message names the row and what is wrong."""
+
+
 class TaskError(HybridJaxError):
     """A task file or task that the cell cannot understand."""
 

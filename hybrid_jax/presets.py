@@ -2,6 +2,7 @@
 """Named configurations, as values."""
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 from hybrid_jax.agents.dqn import DqnConfig
 from hybrid_jax.agents.joint import JointAgentConfig
@@ -21,6 +22,8 @@ class Preset:
     joint: JointAgentConfig = JointAgentConfig()
     switch: SwitchConfig = SwitchConfig()
     planner: PlannerConfig = PlannerConfig()
+    task_planner: Literal["exact", "learned"] = "exact"
+    """What segments a task and picks skills: the shortest path, or the hierarchical DQN."""
     tasks: int = 60
     """Random tasks from which the agents' training data come."""
     held_out: int = 20
@@ -36,7 +39,12 @@ DEFAULT = Preset(
 )
 """Ends in a few minutes on two cores."""
 
+PAPER_DQN = DqnConfig(discount=0.92, polyak=0.005, learning_rate=1e-4, anneal=False)
+"""The paper's table of the DQN; batch and exploration are the defaults."""
+
 PAPER = Preset(
+    dqn=PAPER_DQN,
+    task_planner="learned",
     map=MapConfig(spacing=0.1, tilts=(-0.6, -0.3, 0.0, 0.3, 0.6)),
     joint=JointAgentConfig(
         training=PpoConfig(
@@ -74,7 +82,7 @@ PAPER = Preset(
 
 SMOKE = Preset(
     map=MapConfig(spacing=0.3, tilts=(0.0,), yaws=(0.0,), batch=256),
-    dqn=DqnConfig(iterations=500),
+    dqn=DqnConfig(rounds=24, updates=4),
     joint=replace(
         JointAgentConfig(),
         training=PpoConfig(steps=8_192, envs=64, unroll=32, minibatch=512, hidden=(32, 32)),

@@ -25,6 +25,8 @@ class Run:
     cell: Workcell
     preset_name: str
     seed: int
+    skills: Path | None = None
+    """Folder of demonstrations; the shipped ones where None."""
 
     @property
     def preset(self) -> Preset:
@@ -77,7 +79,9 @@ def _latest_folder(parent: Path, name: str) -> Path:
     return found[-1].parent
 
 
-def create_run(workcell: str, preset: str, seed: int, out: Path | None) -> Run:
+def create_run(
+    workcell: str, preset: str, seed: int, out: Path | None, skills: Path | None = None
+) -> Run:
     """Start a new run.
 
     Raises:
@@ -99,12 +103,13 @@ def create_run(workcell: str, preset: str, seed: int, out: Path | None) -> Run:
         "digest": cell.source.digest,
         "preset": preset,
         "seed": seed,
+        "skills": str(skills.resolve()) if skills else None,
         "configuration": dataclasses.asdict(PRESETS[preset]),
     }
     partial = folder / "config.json.partial"
     partial.write_text(json.dumps(values, indent=1))
     os.replace(partial, folder / "config.json")
-    return Run(folder, cell, preset, seed)
+    return Run(folder, cell, preset, seed, skills and skills.resolve())
 
 
 def open_run(folder: Path | None, workcell: str = "") -> Run:
@@ -125,6 +130,8 @@ def open_run(folder: Path | None, workcell: str = "") -> Run:
                 f"{path}: the run was made for another version of cell {values['workcell']!r} "
                 f"({values['digest'][:12]}, now {cell.source.digest[:12]}); start a new run"
             )
-        return Run(folder, cell, values["preset"], values["seed"])
+        skills = values.get("skills")
+        skills = Path(skills) if skills else None
+        return Run(folder, cell, values["preset"], values["seed"], skills)
     except (ValueError, KeyError) as error:
         raise RunFolderError(f"{path} is damaged: {error!r}") from None

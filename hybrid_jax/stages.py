@@ -11,18 +11,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from hybrid_jax import artifacts, pictures
-from hybrid_jax.agents import dqn, joint, ppo, switching
+from hybrid_jax.agents import controllers, dqn, joint, ppo, switching
 from hybrid_jax.feasibility import building
 from hybrid_jax.feasibility.judging import Reason
 from hybrid_jax.planner import combining, harvest
-from hybrid_jax.planner.lfd import stack_scenes
+from hybrid_jax.planner.lfd import optimal_chooser, stack_scenes
 from hybrid_jax.planner.loading import load_planner, read_library, read_scale
 from hybrid_jax.planner.pipeline import plan_motion
 from hybrid_jax.progress import Progress
 from hybrid_jax.runfolder import Run
 from hybrid_jax.simulation.execution import execute, start_data
-from hybrid_jax.skills.library import SegmentCosts, pad_task, segment_costs
-from hybrid_jax.skills.segmentation import optimal_plan
+from hybrid_jax.skills.costs import SegmentCosts, pad_task, segment_costs
+from hybrid_jax.skills.segmentation import optimal_costs
 from hybrid_jax.skills.task import handling_task, random_task, require_handling, sample_scene
 from hybrid_jax.types import Status
 
@@ -49,61 +49,47 @@ def run_map(run: Run, quiet: bool) -> dict:
     return {"poses": int(counts.sum()), "feasible": shares["feasible"]}
 
 
-def task_batch(run: Run, numbers: range) -> dqn.TaskBatch:
-    """Padded random tasks with their segment costs."""
-    library = read_library(run.cell)
+def task_batch(run: Run, numbers: range) -> SegmentCosts:
+    """Random tasks with their segment costs."""
+    library, config = read_library(run.skills), run.preset.planner.skills
     rows = [pad_task(random_task(run.cell, number)) for number in numbers]
-    poses, carrying, counts = (jnp.asarray(np.stack(column)) for column in zip(*rows, strict=True))
-    cost = jax.jit(
-        jax.vmap(lambda p, c, n: segment_costs(library, p, c, n, run.preset.planner.skills).cost)
-    )(poses, carrying, counts)
-    return dqn.TaskBatch(poses, counts, cost)
+    columns = (jnp.asarray(np.stack(column)) for column in zip(*rows, strict=True))
+    return jax.jit(jax.vmap(lambda p, c, n: segment_costs(library, p, c, n, config)))(*columns)
 
 
 def run_lfd(run: Run, quiet: bool) -> dict:
     """Hierarchical DQN on random tasks (Algorithm 2, offline)."""
     config = run.preset.dqn
     tasks = task_batch(run, range(TRAINING_TASKS, TRAINING_TASKS + run.preset.tasks))
-    held_out = task_batch(run, range(HELD_OUT_TASKS, HELD_OUT_TASKS + run.preset.held_out))
-    best = np.array(
-        [
-            optimal_plan(np.asarray(held_out.cost[i]), int(held_out.count[i]))[1]
-            for i in range(len(held_out.count))
-        ]
-    )
-    chunk = max(1, config.iterations // 24)
+    test = task_batch(run, range(HELD_OUT_TASKS, HELD_OUT_TASKS + run.preset.held_out))
+    best, nets = optimal_costs(test), dqn.make_controllers(config)
+    chunk = max(1, config.rounds // 24)
     trainer = dqn.make_trainer(tasks, config, chunk)
-    evaluate = jax.jit(lambda params: dqn.greedy_plans(config, params, held_out)[1])
-    state, progress = dqn.initialize(tasks, config), Progress("lfd", "updates", quiet)
+    evaluate = jax.jit(lambda params: controllers.greedy_plans(nets, params, test)[1])
+    state, progress = dqn.initialize(tasks, config), Progress("lfd", "rounds", quiet)
     row = {}
-    for done in range(chunk, config.iterations + 1, chunk):
+    for done in range(chunk, config.rounds + 1, chunk):
         state, metrics = trainer(state)
         total = np.asarray(evaluate(state.params))
         solved = np.isfinite(total) & np.isfinite(best)
         ratio = float(total[solved].sum() / best[solved].sum()) if solved.any() else float("nan")
         row = {
-            "step": done,
+            "step": int(state.episodes),
             "reward": float(metrics["reward"].mean()),
             "solved": float(solved.sum() / max(np.isfinite(best).sum(), 1)),
             "cost_over_optimum": round(ratio, 4),
         }
         run.log("lfd", row)
-        progress(done, chunk * (config.iterations // chunk), f"solved {row['solved']:.2f}")
+        progress(done, chunk * (config.rounds // chunk), f"solved {row['solved']:.2f}")
     run.save("lfd.npz", "hierarchical DQN", state.params)
     pictures.draw_curves(
         run.path("lfd.png"),
         run.metrics("lfd"),
         "Hierarchical DQN (RL-LfD)",
-        "updates",
+        "episodes",
         ("reward", "cost_over_optimum"),
     )
     return {"held_out_solved": row["solved"], "cost_over_optimum": row["cost_over_optimum"]}
-
-
-def optimal_chooser(key_poses: np.ndarray, count: int, costs: SegmentCosts):
-    """Exact task planner (a `SkillChooser`)."""
-    del key_poses
-    return optimal_plan(costs.cost, count)[0]
 
 
 def collect_segments(run: Run, name: str, first: int, count: int, quiet: bool) -> harvest.Segments:
@@ -111,7 +97,7 @@ def collect_segments(run: Run, name: str, first: int, count: int, quiet: bool) -
     progress = Progress(name, "tasks", quiet)
     return harvest.harvest(
         run.cell,
-        read_library(run.cell),
+        read_library(run.skills),
         optimal_chooser,
         run.preset.planner.skills,
         run.preset.planner.labels,

@@ -19,6 +19,7 @@ def main(
     preset: str = "default",
     seed: int = 0,
     out: Path | None = None,
+    skills: Path | None = None,
     resume: bool = False,
     quiet: bool = False,
 ) -> int:
@@ -30,6 +31,7 @@ def main(
         preset: default, paper or smoke.
         seed: of everything random.
         out: folder of the run; runs/CELL-NNN if not given.
+        skills: folder of demonstrations to plan with; the shipped ones if not given.
         resume: go on with the run in --out, or with the newest run of the cell.
         quiet: print the summary only.
     """
@@ -44,7 +46,7 @@ def main(
     run = (
         runfolder.open_run(out, workcell)
         if resume
-        else runfolder.create_run(workcell, preset, seed, out)
+        else runfolder.create_run(workcell, preset, seed, out, skills)
     )
     print(f"run folder: {run.folder}", flush=True)
     rows = []

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from brax.envs.base import Env, State
 
-from hybrid_jax.agents import dqn, ppo, switching
+from hybrid_jax.agents import controllers, dqn, ppo, switching
 from hybrid_jax.errors import TrainingError
-from hybrid_jax.kernels import dualquat as dq
-from hybrid_jax.skills.library import MAX_KEY_POSES, MAX_SKILLS
-from hybrid_jax.skills.segmentation import optimal_plan
+from hybrid_jax.skills.costs import MAX_KEY_POSES, SegmentCosts
+from hybrid_jax.skills.library import MAX_SKILLS
+from hybrid_jax.skills.segmentation import optimal_costs
 
 
 class Track(Env):
@@ -98,39 +98,93 @@ def test_ppo_configuration_is_checked():
         ppo.PpoConfig(envs=3, unroll=5, minibatch=7)
 
 
-def toy_tasks(count, seed):
-    """Random key poses and costs with known shortest paths; a third of the skills inadmissible."""
+def toy_tasks(count, seed, keys=5, skills=4):
+    """Tasks whose skills cost the size of a random screw; a third of them is inadmissible."""
     rng = np.random.default_rng(seed)
-    poses = jax.vmap(dq.exp)(
-        jnp.asarray(rng.normal(scale=0.4, size=(count * MAX_KEY_POSES, 6)), jnp.float32)
+    shape = (count, MAX_KEY_POSES, MAX_KEY_POSES, MAX_SKILLS)
+    first, near = (rng.normal(scale=0.06, size=(*shape, 6)).astype(np.float32) for _ in range(2))
+    size = [np.sqrt(np.sum((x * ([1.0] * 3 + [0.3] * 3)) ** 2, axis=-1)) for x in (first, near)]
+    cost = np.full(shape, np.inf, np.float32)
+    for a in range(keys - 1):
+        for b in range(a + 1, keys):
+            inner = size[1][:, a + 1 : b, b, :skills].sum(axis=1)
+            cost[:, a, b, :skills] = size[0][:, a, b, :skills] + inner
+    cost[rng.uniform(size=shape) < 0.33] = np.inf
+    cost[:, np.arange(keys - 1), np.arange(1, keys), 0] = 0.3  # every task can be covered
+    first[:, np.arange(keys - 1), np.arange(1, keys), 0] = [0.3, 0, 0, 0, 0, 0]
+    tasks = SegmentCosts(np.full(count, keys), cost, cost, first, near)
+    return jax.tree.map(jnp.asarray, tasks)
+
+
+TOY_DQN = dqn.DqnConfig(rounds=60, updates=16, hidden_motion=(32, 32), hidden_task=(32, 32))
+
+
+@pytest.fixture(scope="module")
+def toy_training():
+    """A training on 64 toy tasks."""
+    tasks = toy_tasks(64, 0)
+    state, metrics = dqn.make_trainer(tasks, TOY_DQN, TOY_DQN.rounds)(
+        dqn.initialize(tasks, TOY_DQN)
     )
-    cost = np.full((count, MAX_KEY_POSES, MAX_KEY_POSES, MAX_SKILLS), np.inf, np.float32)
-    base = np.random.default_rng(9).uniform(0.02, 0.3, (MAX_KEY_POSES, MAX_KEY_POSES, 4))
-    for a in range(4):
-        for b in range(a + 1, 5):
-            cost[:, a, b, :4] = base[a, b] + rng.uniform(0, 0.01, (count, 4))
-            cost[:, a, b, 3] = np.inf
-    return dqn.TaskBatch(
-        poses.reshape(count, MAX_KEY_POSES, 8), jnp.full(count, 5), jnp.asarray(cost)
-    )
+    return state, metrics
 
 
-def test_hierarchical_dqn_comes_close_to_the_shortest_path():
-    tasks, config = toy_tasks(32, 0), dqn.DqnConfig(iterations=2000, learning_rate=1e-3)
-    state, _ = dqn.make_trainer(tasks, config, 2000)(dqn.initialize(tasks, config))
-    records, total = jax.jit(lambda p: dqn.greedy_plans(config, p, tasks))(state.params)
-    best = np.array([optimal_plan(np.asarray(tasks.cost[i]), 5)[1] for i in range(32)])
-    assert np.isfinite(total).all()
-    assert np.asarray(total).mean() < 1.1 * best.mean()
-    assert (np.asarray(records)[:, 0, 0] == 0).all()
+def greedy(params, tasks):
+    nets = dqn.make_controllers(TOY_DQN)
+    return jax.device_get(jax.jit(lambda p: controllers.greedy_plans(nets, p, tasks))(params))
 
 
-def test_an_inadmissible_skill_is_never_chosen():
-    tasks, config = toy_tasks(8, 1), dqn.DqnConfig()
+def test_hierarchical_dqn_plans_unseen_tasks_almost_as_well_as_the_shortest_path(toy_training):
+    state, metrics = toy_training
+    unseen = toy_tasks(64, 1)
+    best = optimal_costs(unseen).mean()
+    fresh = dqn.initialize(unseen, TOY_DQN).params
+    untrained = greedy(fresh, unseen)[1].mean()
+    records, total = greedy(state.params, unseen)
+    assert total.mean() < 1.05 * best < 1.2 * best < untrained
+    assert (records[:, 0, 0] == 0).all()
+    assert int(metrics["episodes"][-1]) > 40
+
+
+def test_values_of_single_skills_and_of_all_agree(toy_training):
+    state, _ = toy_training
+    tasks, nets = toy_tasks(2, 3), dqn.make_controllers(TOY_DQN)
+    whole = controllers.skill_values(nets, state.params, tasks.first[1], tasks.near[1])
+    for a, b, skill in ((0, 1, 2), (0, 4, 1), (2, 4, 3)):
+        one = controllers.skill_value(nets, state.params, tasks, 1, a, b, skill)
+        assert whole[a, b, skill] == pytest.approx(float(one), abs=1e-4)
+
+
+def test_an_inadmissible_skill_is_never_chosen(toy_training):
+    state, _ = toy_training
+    tasks = toy_tasks(8, 1)
     tasks = tasks.replace(cost=tasks.cost.at[0].set(jnp.inf))
-    state = dqn.initialize(tasks, config)
-    _, total = dqn.greedy_plans(config, state.params, tasks)
+    records, total = greedy(state.params, tasks)
     assert np.isinf(total[0]) and np.isfinite(total[1:]).all()
+    assert (records[0] == -1).all()
+
+
+def test_the_dqn_learns_to_stay_out_of_a_dead_end():
+    """From key pose 1, which is the cheaper way, nothing leads on."""
+    tasks = toy_tasks(16, 5, keys=3)
+    cost = jnp.full(tasks.cost.shape, jnp.inf)
+    cost = cost.at[:, 0, 1, :4].set(0.05).at[:, 0, 2, :4].set(0.4)
+    tasks = tasks.replace(cost=cost)
+    config = dqn.DqnConfig(rounds=20, updates=16, hidden_motion=(16,), hidden_task=(16,))
+    state, _ = dqn.make_trainer(tasks, config, 20)(dqn.initialize(tasks, config))
+    nets = dqn.make_controllers(config)
+    records, total = controllers.greedy_plans(nets, state.params, tasks)
+    np.testing.assert_allclose(total, 0.4, atol=1e-6)
+
+
+def test_dqn_resumes_bit_for_bit():
+    tasks = toy_tasks(8, 4)
+    config = dqn.DqnConfig(rounds=6, updates=4, hidden_motion=(8,), hidden_task=(8,))
+    start, three = dqn.initialize(tasks, config), dqn.make_trainer(tasks, config, 3)
+    whole, _ = dqn.make_trainer(tasks, config, 6)(start)
+    again, _ = three(three(start)[0])
+    for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(again), strict=True):
+        np.testing.assert_array_equal(a, b)
 
 
 def toy_switching(seed, joints=3):

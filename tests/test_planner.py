@@ -20,13 +20,12 @@ from hybrid_jax.errors import TaskError, UnknownNameError
 from hybrid_jax.export import to_joint_trajectory
 from hybrid_jax.kernels.collision import clearance
 from hybrid_jax.planner import checking, timing
-from hybrid_jax.planner.lfd import phase_cell
+from hybrid_jax.planner.lfd import optimal_chooser, phase_cell
 from hybrid_jax.planner.loading import optimal_switcher, read_library
 from hybrid_jax.planner.pipeline import Planner, lfd_only, plan_motion
 from hybrid_jax.simulation.execution import execute, start_data
 from hybrid_jax.skills.library import without
 from hybrid_jax.skills.task import handling_task, random_task, read_task, sample_scene
-from hybrid_jax.stages import optimal_chooser
 from hybrid_jax.types import Status
 
 
@@ -38,7 +37,7 @@ def planner(cell):
         return rrt.plan_paths(cell, scenes, *ends, key=key)[0]
 
     return Planner(
-        cell, read_library(cell), optimal_chooser, bridge, optimal_switcher(SwitchConfig()), 0.1
+        cell, read_library(), optimal_chooser, bridge, optimal_switcher(SwitchConfig()), 0.1
     )
 
 

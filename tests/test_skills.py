@@ -7,25 +7,23 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.planner.loading import read_library
 from hybrid_jax.skills import mapping
-from hybrid_jax.skills.library import (
-    MAX_KEY_POSES,
-    SkillConfig,
-    map_segment,
-    pad_task,
-    segment_costs,
-    without,
-)
+from hybrid_jax.skills.cleaning import POINTS
+from hybrid_jax.skills.costs import MAX_KEY_POSES, pad_task, segment_costs
+from hybrid_jax.skills.covering import map_segment
+from hybrid_jax.skills.distance import beta, features
+from hybrid_jax.skills.library import SkillConfig, without
 from hybrid_jax.skills.segmentation import missing_skills, optimal_plan
 from hybrid_jax.skills.task import random_task
 
 
 @pytest.fixture(scope="module")
-def library(cell):
-    return read_library(cell)
+def library():
+    return read_library()
 
 
 @pytest.fixture(scope="module")
@@ -47,29 +45,89 @@ def same(a, b, atol=2e-5):
     np.testing.assert_allclose(dq.to_matrix(a), dq.to_matrix(b), atol=atol)
 
 
+def double(poses):
+    """Unit dual quaternions in double precision."""
+    return dq.normalize(jnp.asarray(poses, jnp.float64))
+
+
 def test_aligned_meets_new_ends_and_keeps_its_own(library):
-    rng, apply = np.random.default_rng(0), jax.jit(mapping.aligned)
-    for demo in library.poses[:6]:
-        start, goal = random_pose(rng), random_pose(rng)
-        mapped = apply(demo, start, goal)
-        same(mapped[0], start)
-        same(mapped[-1], goal)
-        same(apply(demo, demo[0], demo[-1]), demo)
+    with jax.enable_x64(True):
+        rng, apply = np.random.default_rng(0), jax.jit(mapping.aligned)
+        for demo in double(library.poses[:8]):
+            start, goal = double(random_pose(rng)), double(random_pose(rng))
+            mapped = apply(demo, start, goal)
+            same(mapped[0], start, atol=1e-9)
+            same(mapped[-1], goal, atol=1e-9)
+            same(apply(demo, demo[0], demo[-1]), demo, atol=1e-9)
+            same(apply(demo, -demo[0], demo[-1]), demo, atol=1e-9)
 
 
 def test_aligned_moves_with_a_rigid_motion_of_both_ends(library):
-    rng, apply = np.random.default_rng(1), jax.jit(mapping.aligned)
-    demo = library.poses[0]
-    start, goal, move = (random_pose(rng) for _ in range(3))
-    moved = apply(demo, dq.mul(move, start), dq.mul(move, goal))
-    same(moved, dq.mul(jnp.broadcast_to(move, demo.shape), apply(demo, start, goal)), atol=1e-4)
+    with jax.enable_x64(True):
+        rng, apply = np.random.default_rng(1), jax.jit(mapping.aligned)
+        for demo in double(library.poses[:8]):
+            start, goal, move = (double(random_pose(rng)) for _ in range(3))
+            moved = apply(demo, dq.mul(move, start), dq.mul(move, goal))
+            wanted = dq.mul(jnp.broadcast_to(move, demo.shape), apply(demo, start, goal))
+            same(moved, wanted, atol=1e-9)
+
+
+def test_aligned_in_single_precision_loses_a_micrometre_at_most(library):
+    rng, apply = np.random.default_rng(2), jax.jit(mapping.aligned)
+    for demo in library.poses[:8]:
+        start, goal = random_pose(rng), random_pose(rng)
+        mapped = apply(demo, start, goal)
+        same(mapped[0], start, atol=3e-6)
+        same(mapped[-1], goal, atol=3e-6)
+
+
+def by_scipy(demo, start, goal):
+    """`aligned` as its docstring says it, on SciPy's poses; `[point, 4, 4]`."""
+    demo, start, goal = (
+        RigidTransform.from_dual_quat(np.asarray(p, float), scalar_first=True)
+        for p in (demo, start, goal)
+    )
+    ends = (start * demo[0].inv(), goal * demo[-1].inv())
+    half = RigidTransform.from_exp_coords(0.5 * (ends[0].inv() * ends[1]).as_exp_coords())
+    moved = ends[0] * half * demo
+    step = (demo[:-1].inv() * demo[1:]).as_exp_coords()
+    # SciPy puts the rotation first
+    length = np.hypot(*(np.linalg.norm(part, axis=1) for part in (step[:, :3], step[:, 3:] / 0.1)))
+    s = np.concatenate([[0], np.cumsum(length)])
+    s /= s[-1]
+    rest = [moved[i].rotation.inv() * end.rotation for i, end in ((0, start), (-1, goal))]
+    turn = Slerp([0, 1], Rotation.concatenate(rest))(s)
+    shift = [end.translation - moved[i].translation for i, end in ((0, start), (-1, goal))]
+    position = moved.translation + (1 - s)[:, None] * shift[0] + s[:, None] * shift[1]
+    return RigidTransform.from_components(position, moved.rotation * turn).as_matrix()
+
+
+def test_aligned_is_what_its_docstring_says(library):
+    with jax.enable_x64(True):
+        rng, apply = np.random.default_rng(5), jax.jit(mapping.aligned)
+        for demo in double(library.poses[:6]):
+            ends = [double(random_pose(rng)) for _ in range(2)]
+            found = dq.to_matrix(apply(demo, *ends))
+            np.testing.assert_allclose(found, by_scipy(demo, *ends), atol=1e-7)
+
+
+def test_all_skills_are_mapped_to_all_segments_at_once(library):
+    rng = np.random.default_rng(6)
+    skills, starts, goals = (
+        library.poses[:3],
+        *(jnp.stack([random_pose(rng) for _ in range(4)]) for _ in range(2)),
+    )
+    for name, one in mapping.MAPS.items():
+        mapped = jax.jit(lambda *a, name=name: mapping.map_skills(*a, name))(skills, starts, goals)
+        assert mapped.shape == (3, 4, POINTS, 8)
+        same(mapped[2, 3], one(skills[2], starts[3], goals[3]))
 
 
 def test_literal_map_enforces_the_feature(library):
     rng = np.random.default_rng(2)
     demo, goal = library.poses[3], random_pose(rng)
     mapped = mapping.ugp_goal(demo, random_pose(rng), goal)
-    same(mapping.features(mapped), mapping.features(demo), atol=1e-4)
+    same(features(mapped), features(demo), atol=1e-4)
     blended = mapping.ugp_blend(demo, start := random_pose(rng), goal)
     same(blended[0], start)
     same(blended[-1], goal)
@@ -78,12 +136,10 @@ def test_literal_map_enforces_the_feature(library):
 def test_beta_is_symmetric_invariant_and_in_metres():
     rng = np.random.default_rng(3)
     a, b, g = (random_pose(rng, 0.1, 0.3) for _ in range(3))
-    assert mapping.beta(dq.mul(g, a), dq.mul(g, b)) == pytest.approx(
-        float(mapping.beta(a, b)), abs=1e-5
-    )
-    assert mapping.beta(a, b) == pytest.approx(float(mapping.beta(b, -a)), abs=1e-5)
+    assert beta(dq.mul(g, a), dq.mul(g, b)) == pytest.approx(float(beta(a, b)), abs=1e-5)
+    assert beta(a, b) == pytest.approx(float(beta(b, -a)), abs=1e-5)
     shifted = dq.mul(a, dq.from_parts(jnp.array([0.2, 0, 0]), jnp.array([1.0, 0, 0, 0])))
-    assert mapping.beta(a, shifted) == pytest.approx(0.2, abs=1e-5)
+    assert beta(a, shifted) == pytest.approx(0.2, abs=1e-5)
 
 
 def brute_force(cost, count):
@@ -110,9 +166,9 @@ def test_shortest_path_equals_brute_force():
 def test_unit_segment_cost_is_the_distance_of_start_to_goal_features(cell, library, costs):
     poses, carrying, count = pad_task(random_task(cell, 1))
     found = costs(library, poses, carrying, count)
-    skill = library.names.index("lift_bolt")
+    skill = library.names.index("lift")
     demo, task = library.poses[skill], jnp.asarray(poses)
-    wanted = mapping.beta(dq.mul(dq.conj(demo[0]), demo[-1]), dq.mul(dq.conj(task[1]), task[2]))
+    wanted = beta(dq.mul(dq.conj(demo[0]), demo[-1]), dq.mul(dq.conj(task[1]), task[2]))
     assert found.nearest[1, 2, skill] == pytest.approx(float(wanted), abs=1e-5)
     assert np.isinf(np.asarray(found.cost)[0, 1, skill]), (
         "the gripper is open on the way to the grasp"
@@ -167,4 +223,4 @@ def test_paper_map_on_real_demonstrations(shared):
 
 def test_library_padding(library):
     assert int(library.valid.sum()) == len(library.names) <= 32
-    assert library.poses.shape[1:] == (51, 8) and MAX_KEY_POSES == 8
+    assert library.poses.shape[1:] == (POINTS, 8) and MAX_KEY_POSES == 8

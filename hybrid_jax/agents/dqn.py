@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""The hierarchical DQN of RL-LfD: a task-controller picks segments, a motion-controller skills.
+"""Training of the hierarchical DQN of RL-LfD (paper, Algorithm 2; Kulkarni et al. 2016).
 
-Paper, section "Task-Space RL based LfD", Algorithm 2, and Kulkarni et al., arXiv:1604.06057. Many
-random tasks train at once in one compiled program. Choices that do not exist or exceed the
-tolerance are masked: an infinite penalty would poison the targets.
+Many random tasks train at once in one compiled program. In every round each copy picks the end of
+its next segment and tries several skills on it; the critic keeps the best of the tries. Choices
+that do not exist or exceed the tolerance are masked: an infinite penalty would poison the targets.
 """
 
 import functools
@@ -14,58 +14,53 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from brax.training import networks, replay_buffers
+from brax.training import replay_buffers
 from jax import Array
-from jaxtyping import Float
 
-from hybrid_jax.kernels import dualquat as dq
-from hybrid_jax.simulation.reach import rotation_6d
-from hybrid_jax.skills.library import MAX_KEY_POSES, MAX_SKILLS, SegmentCosts
+from hybrid_jax.agents import controllers
+from hybrid_jax.agents.controllers import Controllers
+from hybrid_jax.skills.costs import SegmentCosts
 from hybrid_jax.skills.segmentation import Plan
 from hybrid_jax.types import pytree
 
-_STATE = 9 + 9 * MAX_KEY_POSES + 2 * MAX_KEY_POSES
-_SEGMENT = MAX_KEY_POSES + 9
+FAILURE = 5.0
+"""Cost of a dead end: above what any admissible plan of eight key poses can cost [m]."""
 
 
 @dataclass(frozen=True)
 class DqnConfig:
-    """Settings; the first seven are the paper's table."""
+    """Settings."""
 
     batch: int = 256
-    discount: float = 0.92
+    discount: float = 1.0
+    """Below 1 it prefers many cheap segments to few: costs that come later count less."""
     epsilon_start: float = 0.95
     epsilon_end: float = 0.05
     epsilon_decay: float = 2000.0
-    """Environment steps in which exploration falls by a factor e."""
-    polyak: float = 0.005
-    """Soft update of the target networks (`tau`)."""
-    learning_rate: float = 1e-4
-    iterations: int = 6000
-    """Gradient steps of each network."""
-    envs: int = 16
+    """Tries of skills in which exploration falls by a factor e."""
+    polyak: float = 0.02
+    """Soft update of the target network (`tau` in the paper's table)."""
+    learning_rate: float = 3e-3
+    anneal: bool = True
+    """Let the learning rate fall to zero along a cosine."""
+    rounds: int = 200
+    """Segments that each copy covers in training."""
+    envs: int = 4
     """Tasks that act at once."""
+    tries: int = 8
+    """Skills tried on a segment (`tau` in Algorithm 2)."""
+    updates: int = 32
+    """Gradient steps of each network in a round."""
     replay: int = 10_000
-    hidden: tuple[int, ...] = (128, 128)
+    hidden_motion: tuple[int, ...] = (64, 64)
+    hidden_task: tuple[int, ...] = (64, 64)
     max_grad: float = 100.0
     """Gradients are clipped to this, element by element."""
     seed: int = 0
 
     def __post_init__(self):
-        if not 0.0 <= self.discount < 1.0:
-            raise ValueError(f"discount must lie in [0, 1), got {self.discount}")
-
-
-@pytree
-class TaskBatch:
-    """Tasks to train on; the leading axis runs over tasks."""
-
-    key_poses: Array
-    """`[task, K, 8]` padded."""
-    count: Array
-    """`[task]` real key poses."""
-    cost: Array
-    """`[task, K, K, skill]`, see `SegmentCosts`."""
+        if not 0.0 <= self.discount <= 1.0:
+            raise ValueError(f"discount must lie in [0, 1], got {self.discount}")
 
 
 @pytree
@@ -75,243 +70,187 @@ class DqnState:
     params: Any
     target: Any
     optimizer: Any
-    buffer: Any
+    task_buffer: Any
+    motion_buffer: Any
     task: Array
     """`[env]` task of each copy."""
     at: Array
     """`[env]` key pose reached."""
     key: Array
-    iteration: Array
+    round: Array
+    episodes: Array
+    """Tasks carried to their end so far."""
 
 
-def _pose_features(pose: Float[Array, "8"]) -> Float[Array, "9"]:
-    return jnp.concatenate([dq.position(pose), rotation_6d(pose[:4])])
+def make_controllers(config: DqnConfig) -> Controllers:
+    """The networks of a configuration."""
+    return controllers.make_controllers(config.hidden_motion, config.hidden_task, config.discount)
 
 
-def observe(key_poses: Array, count: Array, at: Array) -> Float[Array, "97"]:
-    """Tool pose, key poses seen from it, which was reached, which are real (paper, `s_t`)."""
-    tool = key_poses[at]
-    relative = dq.mul(jnp.broadcast_to(dq.conj(tool), key_poses.shape), key_poses)
-    index = jnp.arange(MAX_KEY_POSES)
-    real = (index < count).astype(jnp.float32)
-    seen = jax.vmap(_pose_features)(relative) * real[:, None]
-    return jnp.concatenate(
-        [_pose_features(tool), seen.reshape(-1), (index == at).astype(jnp.float32), real]
-    )
-
-
-def _segment_input(key_poses: Array, at: Array, to: Array) -> Array:
-    feature = dq.mul(dq.conj(key_poses[at]), key_poses[to])
-    return jnp.concatenate([jax.nn.one_hot(to, MAX_KEY_POSES), _pose_features(feature)])
-
-
-def _network(outputs: int, hidden: tuple[int, ...]) -> networks.MLP:
-    return networks.MLP(layer_sizes=(*hidden, outputs), activation=jax.nn.relu)
-
-
-def controllers(config: DqnConfig):
-    """The two networks: values of segment ends, values of skills."""
-    return _network(MAX_KEY_POSES, config.hidden), _network(MAX_SKILLS, config.hidden)
-
-
-def _masked(values: Array, mask: Array) -> Array:
-    return jnp.where(mask, values, -jnp.inf)
-
-
-def _explore(key: Array, values: Array, mask: Array, epsilon: Array) -> Array:
-    """Epsilon-greedy among the allowed choices."""
+def _explore(key: Array, values: Array, epsilon: Array) -> Array:
+    """Epsilon-greedy among the choices that are not minus infinity."""
     key_kind, key_choice = jax.random.split(key)
-    uniform = jax.random.categorical(key_choice, jnp.where(mask, 0.0, -jnp.inf))
-    greedy = jnp.argmax(_masked(values, mask))
-    return jnp.where(jax.random.uniform(key_kind) < epsilon, uniform, greedy)
+    uniform = jax.random.categorical(key_choice, jnp.where(jnp.isfinite(values), 0.0, -jnp.inf))
+    return jnp.where(jax.random.uniform(key_kind) < epsilon, uniform, jnp.argmax(values))
 
 
-def segment_mask(cost: Array, at: Array) -> Array:
-    """`[K]` ends that some admissible skill reaches from a key pose."""
-    return jnp.any(jnp.isfinite(cost[at]), axis=-1)
-
-
-def values(nets, params, key_poses, count, at):
-    """Values of the segment ends `[K]`."""
-    return nets[0].apply(params["task"], observe(key_poses, count, at))
-
-
-def skill_values(nets, params, key_poses, count, at, to):
-    """Values of the skills `[skill]` for a segment."""
-    inputs = jnp.concatenate([observe(key_poses, count, at), _segment_input(key_poses, at, to)])
-    return nets[1].apply(params["motion"], inputs)
-
-
-def _act(nets, config: DqnConfig, tasks: TaskBatch, state: DqnState, key: Array):
-    """One option of every copy: transition records and where the copies stand then."""
-    key_end, key_skill, key_task = jax.random.split(key, 3)
-    done_steps = state.iteration * config.envs
+def _act(nets: Controllers, config: DqnConfig, tasks: SegmentCosts, state: DqnState, opinions, key):
+    """One segment of every copy: records for both replays, and where the copies stand then."""
+    best, skills = opinions
+    tried = state.round * config.envs * config.tries
     epsilon = config.epsilon_end + (config.epsilon_start - config.epsilon_end) * jnp.exp(
-        -done_steps / config.epsilon_decay
+        -tried / config.epsilon_decay
     )
 
-    def one(task, at, key_end, key_skill):
-        poses, count, cost = tasks.key_poses[task], tasks.count[task], tasks.cost[task]
-        mask = segment_mask(cost, at)
-        to = _explore(key_end, values(nets, state.params, poses, count, at), mask, epsilon)
-        skills = jnp.isfinite(cost[at, to])
-        skill = _explore(
-            key_skill, skill_values(nets, state.params, poses, count, at, to), skills, epsilon
-        )
-        stuck = ~jnp.any(mask)
-        reward = jnp.where(stuck, -FAILURE, -cost[at, to, skill])
-        done = stuck | (to == count - 1)
-        return {
-            "task": task,
-            "at": at,
-            "to": to,
-            "skill": skill,
-            "reward": reward,
-            "done": done.astype(jnp.float32),
-        }
+    def one(task, at, key):
+        key_end, *key_skills = jax.random.split(key, config.tries + 1)
+        ends = controllers.end_values(nets, state.params, best[task], tasks.count[task], at)
+        stuck = ~jnp.any(controllers.reachable(best[task], at))
+        to = jnp.where(stuck, at, _explore(key_end, ends, epsilon))
+        pick = functools.partial(_explore, values=skills[task, at, to], epsilon=epsilon)
+        skill = jax.vmap(pick)(jnp.stack(key_skills))
+        reward = -tasks.cost[task, at, to, skill]
+        gained = jnp.where(stuck, -FAILURE, jnp.max(reward))
+        done = stuck | (to == tasks.count[task] - 1)
+        option = {"task": task, "at": at, "to": to, "reward": gained, "done": done * 1.0}
+        segment = {"task": task, "at": at, "to": to}
+        tries = {k: jnp.broadcast_to(v, config.tries) for k, v in segment.items()}
+        # a dead end teaches the task-controller, not the motion-controller: nothing was tried
+        return option, tries | {"skill": skill, "reward": jnp.where(stuck, 0.0, reward),
+                                "weight": jnp.broadcast_to(1.0 - stuck, config.tries)}  # fmt: skip
 
-    split = jax.vmap(jax.random.split, (0, None))
-    keys = split(jnp.stack([key_end, key_skill]), config.envs)
-    record = jax.vmap(one)(state.task, state.at, keys[0], keys[1])
+    key_task, key = jax.random.split(key)
+    options, tries = jax.vmap(one)(state.task, state.at, jax.random.split(key, config.envs))
+    tries = jax.tree.map(lambda a: a.reshape(-1), tries)
     fresh = jax.random.randint(key_task, (config.envs,), 0, tasks.count.size)
-    done = record["done"] > 0
-    return record, jnp.where(done, fresh, state.task), jnp.where(done, 0, record["to"])
+    done = options["done"] > 0
+    return options, tries, jnp.where(done, fresh, state.task), jnp.where(done, 0, options["to"])
 
 
-FAILURE = 5.0
-"""Cost of a dead end: above what any admissible plan of eight key poses can cost [m]."""
-
-
-def _loss(params, nets, config: DqnConfig, tasks: TaskBatch, target, batch):
+def _loss(params, nets: Controllers, config: DqnConfig, tasks, target, best, options, tries):
     """Huber losses of both controllers."""
 
-    def one(r):
-        poses, count, cost = (
-            tasks.key_poses[r["task"]],
-            tasks.count[r["task"]],
-            tasks.cost[r["task"]],
-        )
-        later = _masked(values(nets, target, poses, count, r["to"]), segment_mask(cost, r["to"]))
-        best = jnp.where(jnp.any(jnp.isfinite(later)), jnp.max(later), -FAILURE)
-        wanted = r["reward"] + config.discount * (1 - r["done"]) * best
-        task_error = values(nets, params, poses, count, r["at"])[r["to"]] - wanted
-        # the option ends with its one skill: the motion-controller sees a bandit
-        motion = skill_values(nets, params, poses, count, r["at"], r["to"])[r["skill"]]
-        return optax.huber_loss(task_error), optax.huber_loss(motion - r["reward"])
+    def task_error(r):
+        opinion, count = best[r["task"]], tasks.count[r["task"]]
+        later = controllers.end_values(nets, target, opinion, count, r["to"])
+        most = jnp.where(jnp.any(jnp.isfinite(later)), jnp.max(later), -FAILURE)
+        wanted = r["reward"] + config.discount * (1 - r["done"]) * most
+        segment = opinion[r["at"], r["to"]]
+        segment = jnp.where(jnp.isfinite(segment), segment, 0.0)  # stuck: it goes nowhere
+        rest = controllers.rest_value(nets, params, opinion, count, r["to"])
+        return optax.huber_loss(segment + rest, wanted)
 
-    task_loss, motion_loss = jax.vmap(one)(batch)
-    return jnp.mean(task_loss) + jnp.mean(motion_loss), (jnp.mean(task_loss), jnp.mean(motion_loss))
+    def motion_error(r):
+        # the option ends with its one skill: the motion-controller sees a bandit
+        value = controllers.skill_value(
+            nets, params, tasks, r["task"], r["at"], r["to"], r["skill"]
+        )
+        return r["weight"] * optax.huber_loss(value, r["reward"])
+
+    task_loss = jnp.mean(jax.vmap(task_error)(options))
+    motion_loss = jnp.mean(jax.vmap(motion_error)(tries))
+    return task_loss + motion_loss, (task_loss, motion_loss)
 
 
 def _optimizer(config: DqnConfig):
-    return optax.chain(optax.clip(config.max_grad), optax.amsgrad(config.learning_rate))
-
-
-def _buffer(config: DqnConfig):
-    sample = {"task": 0, "at": 0, "to": 0, "skill": 0, "reward": 0.0, "done": 0.0}
-    sample = {k: jnp.asarray(v) for k, v in sample.items()}
-    return replay_buffers.UniformSamplingQueue(config.replay, sample, config.batch)
-
-
-def initialize(tasks: TaskBatch, config: DqnConfig) -> DqnState:
-    """Fresh networks, empty replay."""
-    nets = controllers(config)
-    key_task, key_motion, key_buffer, key_start, key = jax.random.split(
-        jax.random.PRNGKey(config.seed), 5
+    steps = config.rounds * config.updates
+    rate = (
+        optax.cosine_decay_schedule(config.learning_rate, steps)
+        if config.anneal
+        else config.learning_rate
     )
-    params = {
-        "task": nets[0].init(key_task, jnp.zeros(_STATE)),
-        "motion": nets[1].init(key_motion, jnp.zeros(_STATE + _SEGMENT)),
-    }
-    start = jax.random.randint(key_start, (config.envs,), 0, tasks.count.size)
+    return optax.chain(optax.clip(config.max_grad), optax.adam(rate))
+
+
+def _buffers(config: DqnConfig):
+    """Replay of segments and of tries."""
+    option = {"task": 0, "at": 0, "to": 0, "reward": 0.0, "done": 0.0}
+    tried = {"task": 0, "at": 0, "to": 0, "skill": 0, "reward": 0.0, "weight": 0.0}
+    return tuple(
+        replay_buffers.UniformSamplingQueue(
+            config.replay, {k: jnp.asarray(v) for k, v in sample.items()}, config.batch
+        )
+        for sample in (option, tried)
+    )
+
+
+def initialize(tasks: SegmentCosts, config: DqnConfig, key: Array | None = None) -> DqnState:
+    """Fresh networks, empty replays; `key` stands in for the configuration's seed."""
+    key = jax.random.PRNGKey(config.seed) if key is None else key
+    key_nets, key_option, key_try, key_start, key = jax.random.split(key, 5)
+    params = controllers.initialize(make_controllers(config), key_nets)
+    options, tries = _buffers(config)
     return DqnState(
-        params,
-        params,
-        _optimizer(config).init(params),
-        _buffer(config).init(key_buffer),
-        start,
-        jnp.zeros(config.envs, int),
-        key,
-        jnp.zeros((), jnp.int32),
+        params=params,
+        target=params,
+        optimizer=_optimizer(config).init(params),
+        task_buffer=options.init(key_option),
+        motion_buffer=tries.init(key_try),
+        task=jax.random.randint(key_start, (config.envs,), 0, tasks.count.size),
+        at=jnp.zeros(config.envs, int),
+        key=key,
+        round=jnp.zeros((), jnp.int32),
+        episodes=jnp.zeros((), jnp.int32),
     )
 
 
-def _iterate(nets, config: DqnConfig, tasks: TaskBatch, state: DqnState, _):
-    """Act, store, and once there is a batch take a gradient step."""
-    buffer = _buffer(config)
-    key_act, key = jax.random.split(state.key)
-    record, task, at = _act(nets, config, tasks, state, key_act)
-    stored = buffer.insert(state.buffer, record)
-    stored, batch = buffer.sample(stored)
-    grads, (task_loss, motion_loss) = jax.grad(_loss, has_aux=True)(
-        state.params, nets, config, tasks, state.target, batch
+def _learn(nets: Controllers, config: DqnConfig, tasks: SegmentCosts, best, state: DqnState, _):
+    """One gradient step of both networks."""
+    option_buffer, try_buffer = _buffers(config)
+    task_buffer, options = option_buffer.sample(state.task_buffer)
+    motion_buffer, tries = try_buffer.sample(state.motion_buffer)
+    grads, losses = jax.grad(_loss, has_aux=True)(
+        state.params, nets, config, tasks, state.target, best, options, tries
     )
-    changes, opt = _optimizer(config).update(grads, state.optimizer, state.params)
-    ready = (state.iteration + 1) * config.envs >= config.batch
-    params = jax.tree.map(
-        lambda old, new: jnp.where(ready, new, old),
-        state.params,
-        optax.apply_updates(state.params, changes),
-    )
+    changes, optimizer = _optimizer(config).update(grads, state.optimizer, state.params)
+    params = optax.apply_updates(state.params, changes)
     target = optax.incremental_update(params, state.target, config.polyak)
-    opt = jax.tree.map(lambda old, new: jnp.where(ready, new, old), state.optimizer, opt)
-    metrics = {
-        "task_loss": task_loss,
-        "motion_loss": motion_loss,
-        "reward": jnp.mean(record["reward"]),
-    }
     return state.replace(
         params=params,
         target=target,
-        optimizer=opt,
-        buffer=stored,
+        optimizer=optimizer,
+        task_buffer=task_buffer,
+        motion_buffer=motion_buffer,
+    ), losses
+
+
+def training_round(nets: Controllers, config: DqnConfig, tasks: SegmentCosts, state: DqnState, _):
+    """Every copy covers one segment; then both networks learn."""
+    opinions = controllers.best_values(nets, state.params, tasks)
+    key_act, key = jax.random.split(state.key)
+    options, tries, task, at = _act(nets, config, tasks, state, opinions, key_act)
+    option_buffer, try_buffer = _buffers(config)
+    state = state.replace(
+        task_buffer=option_buffer.insert(state.task_buffer, options),
+        motion_buffer=try_buffer.insert(state.motion_buffer, tries),
         task=task,
         at=at,
         key=key,
-        iteration=state.iteration + 1,
-    ), metrics
+        round=state.round + 1,
+        episodes=state.episodes + jnp.sum(options["done"]).astype(jnp.int32),
+    )
+    step = functools.partial(_learn, nets, config, tasks, opinions[0])
+    state, losses = jax.lax.scan(step, state, length=config.updates)
+    return state, {
+        "task_loss": jnp.mean(losses[0]),
+        "motion_loss": jnp.mean(losses[1]),
+        "reward": jnp.mean(options["reward"]),
+        "episodes": state.episodes,
+    }
 
 
-def make_trainer(tasks: TaskBatch, config: DqnConfig, chunk: int):
-    """A compiled function that takes a state `chunk` iterations further."""
-    step = functools.partial(_iterate, controllers(config), config, tasks)
-    return jax.jit(lambda state: jax.lax.scan(step, state, length=chunk))
-
-
-def greedy_plans(config: DqnConfig, params, tasks: TaskBatch) -> tuple[Array, Array]:
-    """Greedy plans `[task, K - 1, 3]` (from, to, skill; -1 past the end), costs (inf: dead end)."""
-    nets = controllers(config)
-
-    def one(poses, count, cost):
-        def option(carry, _):
-            at, total = carry
-            mask = segment_mask(cost, at)
-            to = jnp.argmax(_masked(values(nets, params, poses, count, at), mask))
-            allowed = jnp.isfinite(cost[at, to])
-            skill = jnp.argmax(_masked(skill_values(nets, params, poses, count, at, to), allowed))
-            active = at < count - 1
-            total = jnp.where(
-                active, total + jnp.where(jnp.any(mask), cost[at, to, skill], jnp.inf), total
-            )
-            record = jnp.where(active & jnp.any(mask), jnp.stack([at, to, skill]), -1)
-            return (jnp.where(active & jnp.any(mask), to, at), total), record
-
-        (at, total), records = jax.lax.scan(
-            option, (jnp.zeros((), int), jnp.float32(0.0)), length=MAX_KEY_POSES - 1
-        )
-        return records, jnp.where(at == count - 1, total, jnp.inf)
-
-    return jax.vmap(one)(tasks.key_poses, tasks.count, tasks.cost)
+def make_trainer(tasks: SegmentCosts, config: DqnConfig, rounds: int):
+    """A compiled function that takes a state `rounds` rounds further."""
+    step = functools.partial(training_round, make_controllers(config), config, tasks)
+    return jax.jit(lambda state: jax.lax.scan(step, state, length=rounds))
 
 
 def make_chooser(config: DqnConfig, params):
     """The trained controllers as a function that the planner calls (a `SkillChooser`)."""
-    run = jax.jit(functools.partial(greedy_plans, config))
+    run = jax.jit(functools.partial(controllers.greedy_plans, make_controllers(config)))
 
-    def choose(key_poses: np.ndarray, count: int, costs: SegmentCosts) -> Plan:
-        one = TaskBatch(
-            jnp.asarray(key_poses)[None], jnp.asarray(count)[None], jnp.asarray(costs.cost)[None]
-        )
+    def choose(costs: SegmentCosts) -> Plan:
+        one = jax.tree.map(lambda a: jnp.asarray(a)[None], costs)
         records, total = jax.device_get(run(params, one))
         if not np.isfinite(total[0]):
             return []

@@ -8,15 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hybrid_jax.skills.library import (
-    SegmentCosts,
-    SkillConfig,
-    SkillLibrary,
-    map_segment,
-    pad_task,
-    segment_costs,
-)
-from hybrid_jax.skills.segmentation import MissingSkill, Plan, missing_skills
+from hybrid_jax.skills.costs import SegmentCosts, pad_task, segment_costs
+from hybrid_jax.skills.covering import map_segment
+from hybrid_jax.skills.library import SkillConfig, SkillLibrary
+from hybrid_jax.skills.segmentation import MissingSkill, Plan, missing_skills, optimal_plan
 from hybrid_jax.skills.task import Task, object_in_tool, place_pose, require_handling
 from hybrid_jax.types import Scene, Workcell
 from hybrid_jax.workcell import scene as scenes
@@ -25,8 +20,13 @@ from hybrid_jax.workcell.geometry import as_row, pose_of
 POINTS = 50
 """Way points of a unit segment."""
 
-SkillChooser = Callable[[np.ndarray, int, SegmentCosts], Plan]
-"""Picks segments and skills: (padded key poses, their count, costs) to a plan; empty if none."""
+SkillChooser = Callable[[SegmentCosts], Plan]
+"""Picks segments and skills from what they cost; empty if the task cannot be covered."""
+
+
+def optimal_chooser(costs: SegmentCosts) -> Plan:
+    """The exact task planner (a `SkillChooser`)."""
+    return optimal_plan(np.asarray(costs.cost), int(costs.count))[0]
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def skill_path(
             library, jnp.asarray(poses), jnp.asarray(carrying), jnp.asarray(count), config=config
         )
     )
-    plan = choose(poses, count, costs)
+    plan = choose(costs)
     if not plan:
         missing = missing_skills(costs.cost, costs.nearest, count, library.names, config.tolerance)
         return SkillPath([], missing, [])

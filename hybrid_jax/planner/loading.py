@@ -2,6 +2,7 @@
 """Put a planner together from the files of a run."""
 
 import functools
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -11,23 +12,19 @@ from hybrid_jax import artifacts
 from hybrid_jax.agents import dqn, joint, ppo, switching
 from hybrid_jax.errors import RunFolderError
 from hybrid_jax.feasibility.building import load_map
+from hybrid_jax.planner.lfd import SkillChooser, optimal_chooser
 from hybrid_jax.planner.pipeline import Planner, Switcher
 from hybrid_jax.runfolder import Run
 from hybrid_jax.simulation.reach import ReachEnv
 from hybrid_jax.skills.demonstration import load_demonstrations
 from hybrid_jax.skills.library import SkillLibrary, build_library
-from hybrid_jax.types import Workcell
-from hybrid_jax.workcell.assets import demonstrations_file
+from hybrid_jax.workcell.assets import demonstrations_folder
 
 
 @functools.lru_cache(maxsize=4)
-def _library(name: str) -> SkillLibrary:
-    return build_library(load_demonstrations(demonstrations_file(name)))
-
-
-def read_library(cell: Workcell) -> SkillLibrary:
-    """Skills demonstrated for a cell."""
-    return _library(cell.source.name)
+def read_library(folder: Path | None = None) -> SkillLibrary:
+    """Skills of a folder of demonstrations; the shipped ones if none is given."""
+    return build_library(load_demonstrations(folder or demonstrations_folder()))
 
 
 def read_scale(run: Run) -> float:
@@ -65,13 +62,22 @@ def learned_switcher(run: Run) -> Switcher:
     return switch
 
 
+def load_chooser(run: Run) -> SkillChooser:
+    """The task planner that the run's preset asks for: exact, or the trained controllers."""
+    if run.preset.task_planner == "exact":
+        return optimal_chooser
+    _, state = run.load("lfd.npz", "hierarchical DQN")
+    return dqn.make_chooser(run.preset.dqn, jax.tree.map(jnp.asarray, state))
+
+
 def load_planner(run: Run, *, switch: str = "learned") -> Planner:
-    """The planner of a run; needs its map, lfd and drl stages, and switch unless `optimal`.
+    """The planner of a run; needs its map and drl stages, and those of the agents it plans with.
 
     Raises:
         RunFolderError: a stage is missing: the message says which.
     """
-    for stage in ("map", "lfd", "drl") + (("switch",) if switch == "learned" else ()):
+    learned = ("lfd",) * (run.preset.task_planner == "learned")
+    for stage in ("map", *learned, "drl", *("switch",) * (switch == "learned")):
         if not run.finished(stage):
             raise RunFolderError(
                 f"{run.folder} lacks the stage {stage!r} ({stage}.npz is missing); "
@@ -79,16 +85,14 @@ def load_planner(run: Run, *, switch: str = "learned") -> Planner:
                 f"{run.folder}"
             )
     preset, cell = run.preset, run.cell
-    _, state = run.load("lfd.npz", "hierarchical DQN")
-    params = jax.tree.map(jnp.asarray, state)
     net = joint.make_net(cell, preset.joint)
     policy = load_policy(
         run, "drl.npz", "joint agent", net, ReachEnv.observation_length(cell.home.size)
     )
     return Planner(
         cell=cell,
-        library=read_library(cell),
-        choose=dqn.make_chooser(preset.dqn, params),
+        library=read_library(run.skills),
+        choose=load_chooser(run),
         bridge=joint.make_bridger(cell, net, policy, preset.joint),
         switch=learned_switcher(run) if switch == "learned" else optimal_switcher(preset.switch),
         scale=read_scale(run),

@@ -1,86 +1,218 @@
 # SPDX-License-Identifier: MIT
-"""Demonstrations: what was recorded, cleaned and stored."""
+"""Demonstrations: one recorded motion of a tool, checked, and a folder that keeps many."""
 
+import os
+import re
+import warnings
+import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from hybrid_jax import artifacts
-from hybrid_jax.errors import RunFolderError
-from hybrid_jax.skills.mapping import resample
+from hybrid_jax.errors import DemonstrationError, RunFolderError
 
-POINTS = 51
-"""Poses that a skill keeps of a demonstration."""
+KIND = "demonstration"
+"""What the header of a file says."""
+BASE = "base"
+"""The frame that stored demonstrations are given in: the robot's base."""
+MIN_SAMPLES = 8
+"""Fewer samples are no motion."""
+REST = (0.002, 0.02)
+"""A tool that moves less than this rests [m, rad]."""
+_UNIT_ERROR = 1e-3
+"""How far a quaternion's length may be off 1."""
+_JUMP = (0.10, 0.6)
+"""Largest step between neighbouring samples that a hand can make [m, rad]."""
 
 
 @dataclass(frozen=True)
 class Demonstration:
-    """One recorded motion of the tool in the robot's base frame."""
+    """One recorded motion of the tool in the base frame of the robot that it was recorded on.
+
+    Only relative motions are used of it, so it serves any other robot too.
+    """
 
     name: str
-    """Unique, e.g. `lift_bolt`."""
-    robot: str
-    """Robot that it was recorded on; it serves any other."""
-    closed: bool
-    """True where the gripper holds an object throughout."""
+    """Unique in a library, e.g. `lift_bolt`: letters, digits, `_`, `-`, `.`."""
     times: np.ndarray
-    """`[sample]` [s]."""
+    """`[sample]` increasing [s]."""
     poses: np.ndarray
-    """`[sample, 8]` unit dual quaternions."""
+    """`[sample, 7]` position [m] and unit quaternion (w, x, y, z) of the tool."""
+    gripper: np.ndarray
+    """`[sample]` 0 open .. 1 closed."""
+    robot: str = "unknown"
+    """Kind of robot that it was recorded on."""
+    frame: str = BASE
+    """Frame that the poses are given in."""
+    note: str = ""
+    """Free text."""
+
+    @property
+    def closed(self) -> bool:
+        """Is the gripper closed for most of the motion?"""
+        return bool(np.mean(self.gripper > 0.5) > 0.5)
 
 
-_SAMPLES = 256
-"""Samples that a recording is brought to before it is spaced by arc length: one trace for all."""
-
-_resample = jax.jit(resample, static_argnames="count")
-
-
-def clean(demo: Demonstration, points: int = POINTS) -> np.ndarray:
-    """Continuous signs, no repeated poses, a short moving average, even spacing; `[points, 8]`."""
-    poses = np.asarray(demo.poses, np.float64)
-    flips = np.sum(poses[1:, :4] * poses[:-1, :4], axis=1) < 0
-    poses = poses * np.concatenate([[1.0], np.cumprod(np.where(flips, -1.0, 1.0))])[:, None]
-    moved = np.linalg.norm(np.diff(poses, axis=0), axis=1) > 1e-5
-    poses = poses[np.concatenate([[True], moved])]
-    width = min(7, len(poses) // 4 * 2 + 1)
-    smooth = uniform_filter1d(poses, width, axis=0, mode="nearest")
-    smooth[0], smooth[-1] = poses[0], poses[-1]
-    at, wanted = np.arange(len(smooth)), np.linspace(0, len(smooth) - 1, _SAMPLES)
-    even = np.stack([np.interp(wanted, at, column) for column in smooth.T], axis=1)
-    even /= np.linalg.norm(even[:, :4], axis=1, keepdims=True)
-    even[:, 4:] -= np.sum(even[:, :4] * even[:, 4:], 1, keepdims=True) * even[:, :4]
-    return np.asarray(_resample(jnp.asarray(even, jnp.float32), points))
+def _check_shapes(demo: Demonstration) -> None:
+    if not re.fullmatch(r"[\w.-]+", demo.name):
+        raise DemonstrationError(
+            f"{demo.name!r} is no name for a demonstration: use letters, digits, '_', '-', '.'"
+        )
+    count = len(demo.times)
+    wanted = {"times": (count,), "poses": (count, 7), "gripper": (count,)}
+    for field, shape in wanted.items():
+        found = getattr(demo, field).shape
+        if found != shape:
+            raise DemonstrationError(
+                f"{demo.name}: {field} must have shape {shape}, one row for each of the "
+                f"{count} times, got {found}"
+            )
+    if count < MIN_SAMPLES:
+        raise DemonstrationError(f"{demo.name}: {count} samples; at least {MIN_SAMPLES} are needed")
 
 
-def save_demonstrations(path: Path, demos: list[Demonstration]) -> None:
-    """Write demonstrations to one file."""
-    tree = {
-        d.name: {"times": d.times.astype(np.float32), "poses": d.poses.astype(np.float32)}
-        for d in demos
-    }
-    about = {d.name: {"robot": d.robot, "closed": d.closed} for d in demos}
-    artifacts.save(path, "demonstrations", "", tree, demonstrations=about)
+def _first(bad: np.ndarray) -> int | None:
+    """Index of the first True."""
+    found = np.flatnonzero(bad)
+    return int(found[0]) if found.size else None
 
 
-def load_demonstrations(path: Path) -> list[Demonstration]:
-    """Read demonstrations.
+def _faults(demo: Demonstration, max_gap: float):
+    """(sample, what is wrong with it), for each rule that a sample breaks first."""
+    table = np.column_stack([demo.times, demo.poses, demo.gripper])
+    names = ("time", "x", "y", "z", "qw", "qx", "qy", "qz", "gripper")
+    bad = ~np.isfinite(table)
+    if (i := _first(bad.any(axis=1))) is not None:
+        column = int(_first(bad[i]))
+        yield i, f"{names[column]} is {table[i, column]}, not a finite number"
+        return  # what follows needs numbers
+    step = np.diff(demo.times)
+    if (i := _first(step <= 0)) is not None:
+        yield i + 1, f"time {demo.times[i + 1]:g} s does not come after {demo.times[i]:g} s"
+    length = np.linalg.norm(demo.poses[:, 3:], axis=1)
+    if (i := _first(np.abs(length - 1) > _UNIT_ERROR)) is not None:
+        yield i, f"the quaternion has length {length[i]:.4f}, must be 1 within {_UNIT_ERROR:g}"
+    gap = max(max_gap, 5 * float(np.median(step)))
+    if (i := _first(step > gap)) is not None:
+        yield (
+            i + 1,
+            f"comes {step[i]:.2f} s after the sample before it, a gap (at most {gap:.2f} s)",
+        )
+    yield from _jumps(demo.poses)
+    if (i := _first((demo.gripper < 0) | (demo.gripper > 1))) is not None:
+        yield i, f"gripper is {demo.gripper[i]:g}, must lie between 0 (open) and 1 (closed)"
+
+
+def _jumps(poses: np.ndarray):
+    """Steps that no hand makes: samples are missing or another body was tracked."""
+    move = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1)
+    if (i := _first(move > _JUMP[0])) is not None:
+        yield i + 1, f"lies {move[i]:.3f} m from the sample before it (at most {_JUMP[0]} m)"
+    same = np.abs(np.sum(poses[1:, 3:] * poses[:-1, 3:], axis=1))
+    turn = 2 * np.arccos(np.clip(same, 0, 1))
+    if (i := _first(turn > _JUMP[1])) is not None:
+        yield i + 1, f"is turned {turn[i]:.2f} rad against the one before it (at most {_JUMP[1]})"
+
+
+def moves(poses: np.ndarray) -> bool:
+    """Do poses `[sample, 7]` get further from the first one than a resting hand?"""
+    away = np.linalg.norm(poses[:, :3] - poses[0, :3], axis=1)
+    chord = np.sqrt(np.maximum(2 - 2 * np.abs(poses[:, 3:] @ poses[0, 3:]), 0))
+    return bool(away.max() > REST[0] or 2 * chord.max() > REST[1])
+
+
+def check_demonstration(
+    demo: Demonstration,
+    *,
+    frame: str = BASE,
+    row: str = "row {}",
+    first: int = 0,
+    max_gap: float = 0.25,
+) -> None:
+    """Refuse a recording that no skill can be made of.
+
+    Args:
+        demo: what was recorded.
+        frame: the frame that it must be given in.
+        row: how a sample is called in messages, e.g. `line {}`.
+        first: number of the first sample in these words.
+        max_gap: longest time between two samples [s]; five times the usual one is allowed anyway.
 
     Raises:
-        RunFolderError: missing or damaged, or a recording that holds no motion.
+        DemonstrationError: the message names the first row that is wrong and what would be right.
     """
-    header, tree = artifacts.load(path, "demonstrations", None)
-    demos = [
-        Demonstration(name, times=tree[name]["times"], poses=tree[name]["poses"], **about)
-        for name, about in header["demonstrations"].items()
-    ]
-    for demo in demos:
-        if len(demo.poses) < 8 or not np.isfinite(demo.poses).all():
-            raise RunFolderError(
-                f"{path}: demonstration {demo.name!r} has fewer than 8 samples "
-                "or values that are not finite"
-            )
+    _check_shapes(demo)
+    if demo.frame != frame:
+        raise DemonstrationError(
+            f"{demo.name}: recorded in frame {demo.frame!r}, wanted {frame!r}: bring it to the "
+            "robot's base frame, or say that this frame is the base"
+        )
+    faults = sorted(_faults(demo, max_gap), key=lambda fault: fault[0])
+    if faults:
+        sample, what = faults[0]
+        raise DemonstrationError(f"{demo.name}, {row.format(first + sample)}: {what}")
+    if not moves(demo.poses):
+        raise DemonstrationError(
+            f"{demo.name}: the tool does not move by {1000 * REST[0]:g} mm or {REST[1]} rad"
+        )
+
+
+def save_demonstration(folder: Path, demo: Demonstration) -> Path:
+    """Write one demonstration to its own file `NAME.npz` of a library's folder.
+
+    Raises:
+        DemonstrationError: it is not a valid recording.
+    """
+    check_demonstration(demo)
+    path = folder / f"{demo.name}.npz"
+    arrays = {"times": demo.times, "poses": demo.poses, "gripper": demo.gripper}
+    arrays = {name: np.asarray(values, np.float32) for name, values in arrays.items()}
+    about = {"robot": demo.robot, "frame": demo.frame, "note": demo.note}
+    artifacts.save(path, KIND, "", arrays, demonstration=about)
+    return path
+
+
+def load_demonstration(path: Path) -> Demonstration:
+    """Read one demonstration.
+
+    Raises:
+        RunFolderError: missing or damaged.
+        DemonstrationError: it holds no valid recording.
+    """
+    header, arrays = artifacts.load(path, KIND, None)
+    try:
+        values = {name: np.asarray(arrays[name], float) for name in ("times", "poses", "gripper")}
+        demo = Demonstration(path.stem, **values, **header["demonstration"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise RunFolderError(f"{path} is damaged: {error!r}") from None
+    check_demonstration(demo)
+    return demo
+
+
+def load_demonstrations(folder: Path) -> list[Demonstration]:
+    """Read a library's folder, in the order of names; a file that is damaged is left out.
+
+    A warning names each file that was left out and why; the others are not touched.
+
+    Raises:
+        RunFolderError: no such folder, or no file in it can be used.
+    """
+    if not folder.is_dir():
+        raise RunFolderError(f"{folder} is no folder with demonstrations")
+    demos, damaged = [], []
+    for path in sorted(folder.glob("*.npz")):
+        if path.name.endswith(".partial.npz"):
+            continue  # a write that was interrupted
+        try:
+            demos.append(load_demonstration(path))
+        except (RunFolderError, DemonstrationError, OSError, zipfile.BadZipFile) as error:
+            damaged.append(str(error))
+            warnings.warn(f"demonstration left out: {error}", stacklevel=2)
+    if not demos:
+        raise RunFolderError(
+            f"{folder} holds no demonstration that can be used"
+            + "".join(f"{os.linesep}  {what}" for what in damaged)
+        )
     return demos

@@ -1,30 +1,27 @@
 # SPDX-License-Identifier: MIT
-"""Record demonstrations by a scripted hand that guides the simulated arm.
+"""Record the shipped demonstrations by a scripted hand that guides the simulated arm.
 
 The hand is no ruler: it bends its way through via points, speeds up and slows down, drifts and
-trembles. mink makes the arm follow within its limits, and the arm's own tool poses are recorded.
-The guiding happens in free space, without the cell's walls: what a demonstrator who stands beside
-the bare robot would do.
+trembles. The arm follows within its limits, and the arm's own tool poses are recorded. The guiding
+happens in free space, without the cell's walls: what a demonstrator who stands beside the bare
+robot would do.
 
     python -m hybrid_jax.skills.handguiding --workcell gen3_handling
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
-import mink
-import mujoco
 import numpy as np
 import tyro
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 
-from hybrid_jax.skills import task as tasks
-from hybrid_jax.skills.demonstration import Demonstration, save_demonstrations
+from hybrid_jax.skills.demonstration import Demonstration, save_demonstration
+from hybrid_jax.skills.following import Follower
+from hybrid_jax.skills.scripts import Script, handling_scripts, inspection_scripts
 from hybrid_jax.types import Workcell
-from hybrid_jax.workcell.assets import demonstrations_file
-from hybrid_jax.workcell.geometry import as_row, matrix_pose
-from hybrid_jax.workcell.layout import home_qpos
+from hybrid_jax.workcell.assets import demonstrations_folder
 from hybrid_jax.workcell.load import load_workcell
 
 
@@ -78,111 +75,46 @@ def _shaken(times: np.ndarray, poses: list, config: HandConfig, rng) -> list:
 
 
 def guide(
-    cell: Workcell,
-    name: str,
-    points: list[RigidTransform],
-    closed: bool,
-    config: HandConfig,
-    rng: np.random.Generator,
+    cell: Workcell, script: Script, config: HandConfig, rng: np.random.Generator, robot: str
 ) -> Demonstration:
-    """Guide the arm through tool poses and record where its tool was."""
-    times, intended = _intended(points, config, rng)
+    """Guide the arm through a script and record where its tool was."""
+    times, intended = _intended(script.points, config, rng)
     hand = _shaken(times, intended, config, rng)
-    model = cell.model
-    configuration = mink.Configuration(model, home_qpos(model))
-    site = model.site(cell.source.layout.tool_site).name
-    follow = mink.FrameTask(site, "site", position_cost=1.0, orientation_cost=0.5, lm_damping=1e-3)
-    limits = [mink.ConfigurationLimit(model)]
-
-    def step(target: RigidTransform) -> None:
-        follow.set_target(mink.SE3.from_matrix(target.as_matrix()))
-        velocity = mink.solve_ik(
-            configuration, [follow], 1 / config.rate, solver="daqp", damping=1e-6, limits=limits
-        )
-        configuration.integrate_inplace(velocity, 1 / config.rate)
-
-    for _ in range(150):  # bring the tool to the first pose
-        step(points[0])
-    recorded = []
-    for target in hand:
-        step(target)
-        data = configuration.data
-        index = cell.source.layout.tool_site
-        recorded.append(as_row(matrix_pose(data.site_xpos[index], data.site_xmat[index])))
-    return Demonstration(name, robot_name(model), closed, times, _to_dual(np.array(recorded)))
+    follower = Follower(cell, config.rate)
+    for _ in range(200):  # bring the tool to the first pose
+        follower.follow(script.points[0])
+    poses = np.array([follower.follow(target) for target in hand])
+    gripper = np.full(len(times), float(script.closed))
+    return Demonstration(script.name, times, poses, gripper, robot=robot, note=script.note)
 
 
-def robot_name(model: mujoco.MjModel) -> str:
-    """What the recording calls the robot: the root body of the arm."""
-    return model.body(1).name
-
-
-def _to_dual(rows: np.ndarray) -> np.ndarray:
-    """`[n, 7]` poses to unit dual quaternions `[n, 8]`."""
-    real = rows[:, 3:]
-    w, v, t = real[:, :1], real[:, 1:], rows[:, :3]
-    dual = 0.5 * np.concatenate([-np.sum(t * v, 1, keepdims=True), w * t + np.cross(t, v)], 1)
-    return np.concatenate([real, dual], axis=1)
-
-
-def _pose(row: np.ndarray) -> RigidTransform:
-    """SciPy pose of a unit dual quaternion `[8]`."""
-    return RigidTransform.from_dual_quat(row, scalar_first=True)
-
-
-def _shifted(pose: RigidTransform, x=0.0, y=0.0, z=0.0) -> RigidTransform:
-    return RigidTransform.from_components(pose.translation + [x, y, z], pose.rotation)
-
-
-def scripted_motions(cell: Workcell, yaw: float) -> Iterator[tuple[str, bool, list]]:
-    """Name, gripper and intended tool poses of every skill, for each kind of object."""
-    data, layout = tasks.require_handling(cell), cell.source.layout
-    home = home_qpos(cell.model)
-    kinds = {spec.kind: spec for spec in reversed(data.objects)}
-    for kind, spec in kinds.items():
-        poses = np.stack([home[a : a + 7] for a in layout.object_qpos])
-        poses[layout.object_names.index(spec.name), [0, 1]] = spec.spawn[:2]
-        poses[layout.object_names.index(spec.name), 3:] = [np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
-        start, grasp, lifted, above, placed, end = (
-            _pose(p.astype(float)) for p in tasks.handling_task(cell, spec.name, poses).key_poses
-        )
-        middle = RigidTransform.from_components(
-            (lifted.translation + above.translation) / 2 + [0, 0, 0.05], above.rotation
-        )
-        before = _shifted(grasp, z=0.16)
-        yield f"pick_{kind}", False, [start, _shifted(before, x=-0.03, z=0.02), before, grasp]
-        yield f"lift_{kind}", True, [grasp, _shifted(grasp, z=data.lift / 2), lifted]
-        yield f"transfer_{kind}", True, [lifted, middle, above]
-        yield f"place_{kind}", True, [above, _shifted(placed, z=data.hover / 2), placed]
-        yield f"carry_{kind}", True, [grasp, lifted, middle, above, placed]
-        yield (
-            f"retreat_{kind}",
-            False,
-            [
-                placed,
-                _shifted(placed, z=0.12),
-                _shifted(end, y=0.4 * placed.translation[1], z=0.02),
-                end,
-            ],
-        )
-
-
-def record(cell: Workcell, config: HandConfig = HandConfig(), seed: int = 0) -> list[Demonstration]:
-    """Guide the arm through every skill once; transfers and picks at two more headings."""
+def record(
+    cell: Workcell, robot: str, config: HandConfig = HandConfig(), seed: int = 0
+) -> list[Demonstration]:
+    """Guide the arm through every script once."""
     rng = np.random.default_rng(seed)
-    demos = []
-    for suffix, yaw in (("", 0.0), ("_left", 0.22), ("_right", -0.22)):
-        for name, closed, points in scripted_motions(cell, yaw):
-            if not suffix or name.startswith(("transfer", "pick")):
-                demos.append(guide(cell, name + suffix, points, closed, config, rng))
-                print(f"recorded {demos[-1].name}: {demos[-1].times[-1]:.1f} s")
-    return demos
+    scripts = [*handling_scripts(cell), *inspection_scripts(cell)]
+    return [guide(cell, script, config, rng, robot) for script in scripts]
 
 
-def main(workcell: str = "gen3_handling", seed: int = 0) -> None:
-    """Record the demonstrations of a cell and store them beside its robot."""
-    cell = load_workcell(workcell)
-    save_demonstrations(demonstrations_file(cell.source.name), record(cell, seed=seed))
+def main(
+    workcell: str = "gen3_handling",
+    robot: str = "Kinova Gen3",
+    seed: int = 0,
+    out: Path | None = None,
+) -> None:
+    """Record the shipped demonstrations anew.
+
+    Args:
+        workcell: cell whose arm is guided and whose task the handling skills show.
+        robot: kind of robot, as the recordings are to say.
+        seed: seed of the hand's noise.
+        out: folder to write to; the shipped one if none is given.
+    """
+    folder = out or demonstrations_folder()
+    for demo in record(load_workcell(workcell), robot, seed=seed):
+        path = save_demonstration(folder, demo)
+        print(f"{demo.name}: {demo.times[-1]:.1f} s, {path}")
 
 
 if __name__ == "__main__":

@@ -6,7 +6,9 @@ of notation: `D` the demonstration, `D1'`, `Dn'` the new ends, `S = D1' D_1* D` 
 carried to the new start, `G = Dn' D_n* D` to the new goal.
 """
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jaxtyping import Float
 
@@ -39,11 +41,6 @@ def _carry(anchor: Array, origin: Array, poses: Array) -> Array:
     return dq.mul(jnp.broadcast_to(move, poses.shape), poses)
 
 
-def features(poses: Float[Array, "point 8"]) -> Float[Array, "step 8"]:
-    """`delta_i = D_{i-1}* D_n`, the goal as each pose but the last sees it (paper, eq. delta)."""
-    return dq.mul(dq.conj(poses[:-1]), jnp.broadcast_to(poses[-1], poses[:-1].shape))
-
-
 def ugp_goal(poses: Array, start: Array, goal: Array) -> Float[Array, "point 8"]:
     """The literal feature `D'_{i-1} = D'_n delta_i*`: meets the goal, ignores the new start."""
     del start
@@ -59,34 +56,92 @@ def ugp_blend(poses: Array, start: Array, goal: Array) -> Float[Array, "point 8"
     return mapped.at[: quarter + 1].set(dq.sclerp(*ends, lead))
 
 
+def _pure(vector: Float[Array, "3"]) -> Float[Array, "4"]:
+    """The quaternion without a real part."""
+    return jnp.concatenate([jnp.zeros_like(vector[:1]), vector])
+
+
+def _midpoint(a: Float[Array, "8"], b: Float[Array, "8"]) -> Float[Array, "8"]:
+    """Half way along the shorter screw from a to b: linear blending is exact there."""
+    near = jnp.where(jnp.sum(a[:4] * b[:4]) < 0, -b, b)
+    return dq.normalize(a + near)
+
+
+def _residual(have: Float[Array, "4"], want: Float[Array, "4"]) -> Float[Array, "4"]:
+    """Rotation that turns `have` into `want` from the right, the shorter way."""
+    q = dq.quat_mul(dq.quat_conj(have), want)
+    return jnp.where(q[0] < 0, -q, q)
+
+
+def _between(first: Float[Array, "4"], last: Float[Array, "4"]) -> tuple[Array, Array]:
+    """Half the angle from one rotation to another, and its axis as a pure quaternion."""
+    turn = _residual(first, last)
+    size = jnp.sqrt(jnp.maximum(jnp.sum(turn[1:] ** 2), jnp.finfo(turn.dtype).tiny))
+    return jnp.arctan2(size, turn[0]), _pure(turn[1:] / size)
+
+
+_UNIT_ROWS = np.array([[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]], np.int32)
+_UNIT_SIGNS = np.array([[1, 1, 1, 1], [-1, 1, -1, 1], [-1, 1, 1, -1], [-1, -1, 1, 1]])
+"""Component and sign of `e_k q`, a row for each unit quaternion `e_k`."""
+
+
+def _product_matrix(left: Float[Array, "4"], right: Float[Array, "4"]) -> Float[Array, "4 4"]:
+    """Rows k: the product `left e_k right`, so that `x @ m` is `left x right`."""
+    rows = right[_UNIT_ROWS] * jnp.asarray(_UNIT_SIGNS, right.dtype)
+    return dq.quat_mul(jnp.broadcast_to(left, (4, 4)), rows)
+
+
+def _combine(terms: Float[Array, "point k"], matrix: Float[Array, "k 8"]) -> Array:
+    """`terms @ matrix`, spelled out: batched products of small matrices are slow on a CPU."""
+    return sum(terms[:, k, None] * matrix[k] for k in range(matrix.shape[0]))
+
+
+def _coefficients(
+    turn: Float[Array, "4"], h: Float[Array, "4"], offset: Float[Array, "4"], drift: Array
+) -> Float[Array, "12 8"]:
+    """Matrix from (dual, real, s real) of a demonstration to `turn D h`, then moved.
+
+    Args:
+        turn, h: what multiplies the demonstration from the left and the right.
+        offset, drift: it is moved by `offset + s drift`, pure quaternions [m].
+    """
+    real = _product_matrix(turn, h)
+    moved = (dq.quat_mul(jnp.broadcast_to(0.5 * t, (4, 4)), real) for t in (offset, drift))
+    none = jnp.zeros_like(real)
+    return jnp.concatenate(
+        [jnp.concatenate([none, real, none]), jnp.concatenate([real, *moved])], axis=1
+    )
+
+
 def aligned(poses: Array, start: Array, goal: Array) -> Float[Array, "point 8"]:
     """Move the whole demonstration rigidly between its ends, then spread what is left over.
 
     Meets both ends, returns the demonstration on its own ends, and moves along with a rigid
-    motion of both ends. The rest is spread by arc length, position and rotation apart.
+    motion of both ends. The rest is spread by arc length s, position and rotation apart:
+
+    `E = T D`, `T` half way between `D1' D1*` and `Dn' Dn*`;
+    position `p(E) + (1 - s) (p1' - p(E1)) + s (pn' - p(En))`;
+    rotation `q(E) slerp(q(E1)* q1', q(En)* qn'; s)`.
+
+    The slerp is `cos(s h) f + sin(s h) g`, so every component of the result is linear in those of
+    the demonstration: one small matrix a pair of ends, applied to all points.
     """
-    move = dq.sclerp(
-        dq.mul(start, dq.conj(poses[0])),
-        dq.mul(goal, dq.conj(poses[-1])),
-        jnp.float32(0.5).astype(poses.dtype),
+    poses = align_signs(poses)
+    move = _midpoint(dq.mul(start, dq.conj(poses[0])), dq.mul(goal, dq.conj(poses[-1])))
+    here, first, last = move[:4], dq.mul(move, poses[0]), dq.mul(move, poses[-1])
+    f = _residual(first[:4], start[:4])
+    half, axis = _between(f, _residual(last[:4], goal[:4]))
+    offset, last_offset = (
+        _pure(dq.position(want) - dq.quat_rotate(here, dq.position(demo)))
+        for want, demo in ((start, poses[0]), (goal, poses[-1]))
     )
-    moved = dq.mul(jnp.broadcast_to(move, poses.shape), poses)
-    w = arc_phase(poses)[:, None]
-    position = dq.position(moved)
-    position = (
-        position
-        + (1 - w) * (dq.position(start) - position[0])
-        + w * (dq.position(goal) - position[-1])
+    s = arc_phase(poses)[:, None]
+    terms = jnp.concatenate([poses[:, 4:], poses[:, :4], s * poses[:, :4]], axis=1)
+    waves = ((jnp.cos(s * half), f), (jnp.sin(s * half), dq.quat_mul(f, axis)))
+    return sum(
+        wave * _combine(terms, _coefficients(here, h, offset, last_offset - offset))
+        for wave, h in waves
     )
-    first, last = (
-        dq.quat_log(dq.quat_mul(dq.quat_conj(moved[i, :4]), end[:4]))
-        for i, end in ((0, start), (-1, goal))
-    )
-    between = dq.quat_log(dq.quat_mul(dq.quat_conj(dq.quat_exp(first)), dq.quat_exp(last)))
-    rest = dq.quat_mul(
-        jnp.broadcast_to(dq.quat_exp(first), (len(poses), 4)), dq.quat_exp(w * between)
-    )
-    return align_signs(dq.normalize(dq.from_parts(position, dq.quat_mul(moved[:, :4], rest))))
 
 
 MAPS = {"aligned": aligned, "ugp_blend": ugp_blend, "ugp_goal": ugp_goal}
@@ -103,23 +158,12 @@ def resample(poses: Float[Array, "point 8"], count: int) -> Float[Array, "count 
     return align_signs(dq.sclerp(poses[right - 1], poses[right], jnp.clip(s, 0, 1)))
 
 
-def beta(a: Float[Array, "8"], b: Float[Array, "8"], length: float = 0.3) -> Float[Array, ""]:
-    """Distance of two features: weighted norm of the screw between them [m].
-
-    Args:
-        a, b: features, unit dual quaternions.
-        length: metres that count as one radian.
-    """
-    twist = dq.log(dq.mul(dq.conj(a), b))
-    sq = jnp.sum(twist[:3] ** 2) + length**2 * jnp.sum(twist[3:] ** 2)
-    return jnp.sqrt(jnp.maximum(sq, 1e-20))
-
-
-def beta_euclidean(a: Float[Array, "8"], b: Float[Array, "8"], length: float = 0.3) -> Array:
-    """The paper's distance: Euclidean on the eight components, over both signs."""
-    del length
-    return jnp.minimum(jnp.linalg.norm(a - b), jnp.linalg.norm(a + b))
-
-
-BETAS = {"screw": beta, "euclidean": beta_euclidean}
-"""Distances by the name used in configurations."""
+def map_skills(
+    skills: Float[Array, "skill point 8"],
+    starts: Float[Array, "segment 8"],
+    goals: Float[Array, "segment 8"],
+    mapping: str = "aligned",
+) -> Float[Array, "skill segment point 8"]:
+    """Map every skill to every segment's start and goal."""
+    one_skill = jax.vmap(MAPS[mapping], (None, 0, 0))
+    return jax.vmap(one_skill, (0, None, None))(skills, starts, goals)

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hybrid_jax.skills.costs import SegmentCosts
+
 Plan = list[tuple[int, int, int]]
 """Segments (from key pose, to key pose, skill), in order."""
 
@@ -49,6 +51,12 @@ def optimal_plan(cost: np.ndarray, count: int) -> tuple[Plan, float]:
         plan.append(back[at])
         at = back[at][0]
     return plan[::-1], float(value[-1])
+
+
+def optimal_costs(tasks: SegmentCosts) -> np.ndarray:
+    """`[task]` cost of the cheapest admissible plan of each task; inf where none exists."""
+    cost, count = np.asarray(tasks.cost), np.asarray(tasks.count)
+    return np.array([optimal_plan(c, int(n))[1] for c, n in zip(cost, count, strict=True)])
 
 
 def missing_skills(

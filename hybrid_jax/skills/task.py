@@ -100,6 +100,11 @@ def _raised(pose: RigidTransform, height: float) -> RigidTransform:
     return RigidTransform.from_components(pose.translation + [0, 0, height], pose.rotation)
 
 
+def home_pose(cell: Workcell) -> np.ndarray:
+    """Tool pose `[8]` of the arm at home."""
+    return np.asarray(tool_pose(cell, cell.home))
+
+
 def handling_task(cell: Workcell, object_name: str, object_poses: np.ndarray) -> Task:
     """The task of sorting one object: home, grasp, lifted, above its slot, placed, home."""
     data = require_handling(cell)
@@ -110,7 +115,7 @@ def handling_task(cell: Workcell, object_name: str, object_poses: np.ndarray) ->
         [as_row(p) for p in (grasp, _raised(grasp, data.lift), _raised(place, data.hover), place)]
     ).astype(np.float32)
     poses = np.asarray(dq.from_parts(jnp.asarray(rows[:, :3]), jnp.asarray(rows[:, 3:])))
-    home = np.asarray(tool_pose(cell, cell.home))
+    home = home_pose(cell)
     return Task(
         object_name,
         np.asarray(object_poses, np.float32),

@@ -34,6 +34,6 @@ def find_workcell(name_or_path: str | Path) -> Path:
     raise UnknownNameError("work cell (and no such file)", name_or_path, workcell_names())
 
 
-def demonstrations_file(cell_name: str) -> Path:
-    """Recorded demonstrations that come with a cell."""
-    return robots_folder() / "demonstrations" / f"{cell_name}.npz"
+def demonstrations_folder() -> Path:
+    """Recorded demonstrations that come with the package, one file each."""
+    return robots_folder() / "demonstrations"

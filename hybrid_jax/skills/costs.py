@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: MIT
+"""How well each skill covers each segment of a task (paper, `r_t` and `beta`)."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Bool, Float
+
+from hybrid_jax.kernels import dualquat as dq
+from hybrid_jax.skills.distance import BETAS, features
+from hybrid_jax.skills.library import SkillConfig, SkillLibrary
+from hybrid_jax.skills.task import Task
+from hybrid_jax.types import pytree
+
+MAX_KEY_POSES = 8
+"""Key poses that a task may have (`K_max`)."""
+
+
+@pytree
+class SegmentCosts:
+    """What covering key poses a..b of a task with skill k costs, and the screws behind it.
+
+    A screw (v [m], w [rad]) leads from a feature of the task to one of the demonstration; its size
+    is what the distance measures.
+    """
+
+    count: Array
+    """Key poses that are real; the others are padding."""
+    cost: Array
+    """`[a, b, skill]` sum of feature distances [m]; inf where a term exceeds the tolerance."""
+    nearest: Array
+    """`[a, b, skill]` the same without the tolerance."""
+    first: Array
+    """`[a, b, skill, 6]` from the feature of the segment's start to the demonstration's first."""
+    near: Array
+    """`[l, b, skill, 6]` from that of a key pose within the segment to the nearest one."""
+
+
+def pad_task(task: Task) -> tuple[np.ndarray, np.ndarray, int]:
+    """Key poses, carrying flags and count, padded to `MAX_KEY_POSES`."""
+    count = len(task.key_poses)
+    if not 2 <= count <= MAX_KEY_POSES:
+        raise ValueError(f"a task has 2 to {MAX_KEY_POSES} key poses, got {count}")
+    poses = np.concatenate([task.key_poses, task.key_poses[-1:].repeat(MAX_KEY_POSES - count, 0)])
+    carrying = np.zeros(MAX_KEY_POSES, bool)
+    carrying[: count - 1] = task.carrying
+    return poses.astype(np.float32), carrying, count
+
+
+def _monotone_costs(terms: Float[Array, "l b skill i"], limit: float) -> Float[Array, "a b skill"]:
+    """Cheapest monotone matching of task features l = a..b-1 to demo features, the first fixed."""
+    terms = jnp.where(terms <= limit, terms, jnp.inf)
+    count = terms.shape[0]
+    rows = []
+    for a in range(count):
+        best = jnp.full(terms.shape[1:], jnp.inf).at[..., 0].set(terms[a, ..., 0])
+        row = jnp.full((count, terms.shape[2]), jnp.inf)
+        for b in range(a + 1, count):
+            row = row.at[b].set(jnp.min(best[b], axis=-1))
+            before = jax.lax.cummin(best, axis=2)
+            before = jnp.concatenate(
+                [jnp.full_like(before[..., :1], jnp.inf), before[..., :-1]], -1
+            )
+            best = before + terms[b]
+        rows.append(row)
+    return jnp.stack(rows)
+
+
+def _task_features(key_poses: Array) -> Float[Array, "l b 8"]:
+    """`delta_l = D_l* D_b` of every pair of key poses."""
+    size = key_poses.shape[0]
+    grid = jnp.broadcast_to(key_poses[:, None], (size, size, 8))
+    return dq.mul(dq.conj(grid), jnp.swapaxes(grid, 0, 1))
+
+
+def _terms(wanted: Array, demo: Array, config: SkillConfig) -> Float[Array, "l b skill i"]:
+    """Distance of every task feature to every demonstrated feature [m]."""
+    compare = jax.vmap(BETAS[config.distance], (None, 0))  # i
+    compare = jax.vmap(compare, (None, 0))  # skill
+    return jax.vmap(jax.vmap(compare, (0, None)), (0, None))(wanted, demo)
+
+
+def _usable(library: SkillLibrary, carrying: Array, count: Array) -> Bool[Array, "a b skill"]:
+    """Segments that exist and on which the gripper does what the skill's does."""
+    index = jnp.arange(carrying.shape[0])
+    held = jnp.concatenate([jnp.zeros(1), jnp.cumsum(carrying)[:-1]])
+    inside = held[None] - held[:, None]  # carried unit segments in a..b
+    length = (index[None] - index[:, None]).astype(jnp.float32)
+    real = (length > 0) & (index[None] < count)
+    grip = jnp.where(library.closed, (inside == length)[..., None], (inside == 0)[..., None])
+    return real[..., None] & grip & library.valid
+
+
+def segment_costs(
+    library: SkillLibrary,
+    key_poses: Float[Array, "K 8"],
+    carrying: Bool[Array, "K"],
+    count: Array,
+    config: SkillConfig,
+) -> SegmentCosts:
+    """Costs of all segments and skills of one padded task (paper, eqs. of `beta` and `r_t`).
+
+    Args:
+        library: the skills.
+        key_poses: padded to `MAX_KEY_POSES`.
+        carrying: for the unit segment that starts at each key pose.
+        count: how many key poses are real.
+        config: distance and tolerance.
+    """
+    wanted, demo = _task_features(key_poses), jax.vmap(features)(library.poses)
+    terms = _terms(wanted, demo, config)
+    usable = _usable(library, carrying, count)
+    cost, nearest = (
+        jnp.where(usable, _monotone_costs(terms, limit), jnp.inf)
+        for limit in (config.tolerance, 1e6)
+    )
+    skills = jnp.arange(demo.shape[0])
+    back = jnp.broadcast_to(dq.conj(wanted)[:, :, None], (*terms.shape[:3], 8))
+    first = dq.log(dq.mul(back, jnp.broadcast_to(demo[:, 0], back.shape)))
+    near = dq.log(dq.mul(back, demo[skills, jnp.argmin(terms, axis=-1)]))
+    return SegmentCosts(jnp.asarray(count), cost, nearest, first, near)

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: MIT
+"""What the hand intends to show: the tool poses that the twenty shipped skills go through.
+
+Twelve skills handle objects (reach, lift, carry, put down, go back), eight inspect with a brush
+(hover over a tray, reach for a part, stroke along it straight, twisting or turning). All of them
+are shown on one arm; what is kept of them are relative motions, which serve any other.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from hybrid_jax.skills import task as tasks
+from hybrid_jax.types import Workcell
+from hybrid_jax.workcell.layout import home_qpos
+
+_DOWN = Rotation.from_euler("x", np.pi)
+
+
+@dataclass(frozen=True)
+class Script:
+    """One motion to be shown."""
+
+    name: str
+    closed: bool
+    """Does the gripper hold something?"""
+    points: list[RigidTransform]
+    """Tool poses that it leads through."""
+    note: str
+
+
+def shifted(pose: RigidTransform, x=0.0, y=0.0, z=0.0) -> RigidTransform:
+    """The pose moved along the base's axes [m]."""
+    return RigidTransform.from_components(pose.translation + [x, y, z], pose.rotation)
+
+
+def _key_poses(cell: Workcell, name: str) -> list[RigidTransform]:
+    """Key poses of sorting one object that lies in the middle of its region."""
+    data, layout = tasks.require_handling(cell), cell.source.layout
+    spec, home = data.object(name), home_qpos(cell.model)
+    poses = np.stack([home[a : a + 7] for a in layout.object_qpos])
+    row = layout.object_names.index(name)
+    poses[row, [0, 1]] = spec.spawn[:2]
+    poses[row, 3:] = [1.0, 0.0, 0.0, 0.0]
+    return [
+        RigidTransform.from_dual_quat(pose.astype(float), scalar_first=True)
+        for pose in tasks.handling_task(cell, name, poses).key_poses
+    ]
+
+
+def handling_scripts(cell: Workcell) -> Iterator[Script]:
+    """Skills that sort objects into trays, for each kind of object and each tray."""
+    data = tasks.require_handling(cell)
+    kinds = {spec.kind: spec for spec in reversed(data.objects)}
+    trays = {spec.tray: spec for spec in kinds.values()}
+    for kind, spec in kinds.items():
+        start, grasp, lifted, above, placed, end = _key_poses(cell, spec.name)
+        before = shifted(grasp, z=0.16)
+        aside = shifted(before, x=-0.03, z=0.02)
+        middle = (lifted.translation + above.translation) / 2 + [0, 0, 0.05]
+        over = RigidTransform.from_components(middle, above.rotation)
+        yield Script(f"pick_{kind}", False, [start, aside, before, grasp], f"reach for a {kind}")
+        yield Script(
+            f"transfer_{kind}", True, [lifted, over, above], f"carry a {kind} over its tray"
+        )
+        if spec is trays[spec.tray]:
+            low, back = shifted(grasp, z=data.lift / 2), shifted(placed, z=data.hover / 2)
+            homeward = shifted(end, y=0.4 * placed.translation[1], z=0.02)
+            yield Script(
+                f"carry_{kind}", True, [grasp, lifted, over, above, placed],
+                f"take a {kind} from where it lies to its place",
+            )  # fmt: skip
+            yield Script(
+                f"retreat_{spec.tray}", False, [placed, shifted(placed, z=0.12), homeward, end],
+                f"go home from {spec.tray}",
+            )  # fmt: skip
+    yield Script("lift", True, [grasp, low, lifted], "lift an object straight up")
+    yield Script("place", True, [above, back, placed], "put an object down")
+
+
+HOVER = RigidTransform.from_components([0.45, 0.0, 0.30], _DOWN)
+"""Above the middle of the part tray that the inspection skills are shown on."""
+
+
+def on_part(x: float, y: float, tilt: float = 0.0, turn: float = 0.0) -> RigidTransform:
+    """The brush on a part: `x`, `y` [m] from the tray's middle, 0.22 m below the hover pose.
+
+    Args:
+        x, y: where it touches [m].
+        tilt: angle of the brush about the base's y axis [rad].
+        turn: heading of the brush [rad].
+    """
+    rotation = Rotation.from_euler("zy", [turn, tilt]) * _DOWN
+    return RigidTransform.from_components(HOVER.translation + [x, y, -0.22], rotation)
+
+
+def inspection_scripts(cell: Workcell) -> Iterator[Script]:
+    """Skills that brush parts on a tray, as in the paper's inspection study."""
+    home = RigidTransform.from_dual_quat(
+        np.asarray(tasks.home_pose(cell), float), scalar_first=True
+    )
+    near = shifted(HOVER, z=0.06)
+    yield Script("hover", False, [home, near, HOVER], "go from home over the tray's middle")
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        part = on_part(0.0, 0.09 * sign)
+        yield Script(
+            f"reach_{side}", False, [HOVER, shifted(part, x=-0.01, z=0.10), part],
+            f"from over the tray down to a part on the {side}",
+        )  # fmt: skip
+    start, middle, end = on_part(-0.06, 0.0), on_part(0.0, 0.0), on_part(0.06, 0.0)
+    yield Script("stroke_straight", False, [start, middle, end], "brush along a flat part")
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        twist = [on_part(-0.06 + 0.06 * i, 0.0, turn=0.45 * sign * i) for i in range(3)]
+        yield Script(f"stroke_twist_{side}", False, twist, "brush and twist about the tool")
+    turned = [shifted(on_part(-0.06 + 0.06 * i, 0.0, tilt=0.3 * (i - 1)), z=0.012 * (i % 2))
+              for i in range(3)]  # fmt: skip
+    yield Script("stroke_turn", False, turned, "brush over a curved part, turning with its surface")
+    yield Script(
+        "sweep", False, [HOVER, shifted(start, z=0.10), start, middle, end],
+        "from over the tray down to a part and along it",
+    )  # fmt: skip

@@ -1,0 +1,257 @@
+# SPDX-License-Identifier: MIT
+"""Recordings: what is read, what is refused and how it is said, what a damaged file costs."""
+
+import dataclasses
+import pickle
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from hybrid_jax.errors import DemonstrationError, RunFolderError
+from hybrid_jax.skills import cleaning, cutting
+from hybrid_jax.skills.demonstration import (
+    Demonstration,
+    check_demonstration,
+    load_demonstration,
+    load_demonstrations,
+    save_demonstration,
+)
+from hybrid_jax.skills.importing import ImportConfig, read_recording
+from hybrid_jax.skills.library import build_library
+
+
+def recording(name="lift", count=60, gripper=0.0) -> Demonstration:
+    """A smooth motion up, forward and about the vertical."""
+    s = np.linspace(0, 1, count)
+    position = np.stack([0.4 + 0.1 * s, 0.02 * np.sin(3 * s), 0.1 + 0.3 * s**2], axis=1)
+    turn = Rotation.from_rotvec(0.8 * s[:, None] * [0, 0, 1]) * Rotation.from_euler("x", np.pi)
+    poses = np.concatenate([position, turn.as_quat(scalar_first=True)], axis=1)
+    return Demonstration(name, 2.0 * s, poses, np.full(count, gripper), robot="test arm")
+
+
+def broken(**changes) -> Demonstration:
+    """The recording with single values replaced: field=(index, value)."""
+    demo = recording()
+    for field, (index, value) in changes.items():
+        array = np.array(getattr(demo, field))
+        array[index] = value
+        demo = dataclasses.replace(demo, **{field: array})
+    return demo
+
+
+@pytest.mark.parametrize(
+    ("demo", "said"),
+    [
+        (broken(poses=((17, 1), np.nan)), r"row 17: y is nan"),
+        (broken(poses=((9, 3), 2.0)), r"row 9: the quaternion has length"),
+        (broken(times=(30, 0.5)), r"row 30: time 0.5 s does not come after"),
+        (broken(times=(slice(40, None), np.linspace(5, 6, 20))), r"row 40: .* a gap"),
+        (broken(poses=((slice(25, None), 0), 0.9)), r"row 25: lies .* from the sample before"),
+        (broken(gripper=(3, 7.0)), r"row 3: gripper is 7"),
+        (broken(poses=(slice(None), recording().poses[0])), r"does not move"),
+        (dataclasses.replace(recording(), frame="camera"), r"frame 'camera', wanted 'base'"),
+        (dataclasses.replace(recording(), name="../lift"), r"no name"),
+        (recording(count=5), r"5 samples; at least 8"),
+        (dataclasses.replace(recording(), gripper=np.zeros(3)), r"gripper must have shape \(60,\)"),
+    ],
+)  # fmt: skip
+def test_bad_recordings_are_refused_with_the_row(demo, said):
+    with pytest.raises(DemonstrationError, match=said):
+        check_demonstration(demo)
+
+
+def test_a_library_keeps_what_it_was_given(tmp_path):
+    demo = dataclasses.replace(recording(), note="straight up")
+    again = load_demonstration(save_demonstration(tmp_path, demo))
+    assert (again.name, again.robot, again.note) == ("lift", "test arm", "straight up")
+    np.testing.assert_allclose(again.poses, demo.poses, atol=1e-6)
+
+
+def test_a_damaged_file_costs_that_file_only(tmp_path):
+    for name in ("a", "b", "c"):
+        save_demonstration(tmp_path, recording(name))
+    before = (tmp_path / "b.npz").read_bytes()
+    (tmp_path / "b.npz").write_bytes(before[: len(before) // 2])
+    (tmp_path / "d.npz").write_bytes(pickle.dumps({"poses": [1, 2, 3]}))
+    with pytest.warns(UserWarning, match="left out") as warned:
+        demos = load_demonstrations(tmp_path)
+    said = [str(w.message) for w in warned if "left out" in str(w.message)]
+    assert [d.name for d in demos] == ["a", "c"]
+    assert len(said) == 2 and "b.npz" in said[0] and "d.npz" in said[1]
+    assert (tmp_path / "b.npz").exists()
+    with pytest.raises(RunFolderError, match="no demonstration that can be used"):
+        (tmp_path / "empty").mkdir()
+        load_demonstrations(tmp_path / "empty")
+
+
+def write_csv(path, demo, unit="mm", scale=1000.0, head=""):
+    rows = np.column_stack([demo.times, demo.poses[:, :3] * scale, demo.poses[:, 3:], demo.gripper])
+    names = f"time [s], x [{unit}], y [{unit}], z [{unit}], qw, qx, qy, qz, gripper"
+    lines = [",".join(f"{v:.9f}" for v in row) for row in rows]
+    path.write_text("\n".join([f"{head}{names}", *lines]) + "\n")
+
+
+def test_csv_states_its_units(tmp_path):
+    path = tmp_path / "up.csv"
+    write_csv(path, recording(), head="# robot: other arm\n# note: by hand\n")
+    (demo,) = read_recording(path)
+    assert (demo.name, demo.robot, demo.note) == ("up", "other arm", "by hand")
+    np.testing.assert_allclose(demo.poses, recording().poses, atol=1e-6)
+    text = path.read_text()
+    path.write_text(text.replace("x [mm]", "x"))
+    with pytest.raises(DemonstrationError, match="column 'x' states no unit of length"):
+        read_recording(path)
+    path.write_text(text.replace("qz,", ""))
+    with pytest.raises(DemonstrationError, match="'qz' is missing"):
+        read_recording(path)
+
+
+def test_csv_faults_are_named_by_their_line(tmp_path):
+    path = tmp_path / "up.csv"
+    write_csv(path, broken(poses=((17, 1), np.nan)), head="# robot: other arm\n")
+    with pytest.raises(DemonstrationError, match=r"line 20: y is nan"):  # a comment, the header
+        read_recording(path)
+    write_csv(path, recording())
+    lines = path.read_text().splitlines()
+    lines[8] = lines[8].replace("0.", "zero.", 1)
+    path.write_text("\n".join(lines))
+    with pytest.raises(DemonstrationError, match="line 9: could not convert"):
+        read_recording(path)
+
+
+def test_csv_reads_roll_pitch_yaw(tmp_path):
+    demo, path = recording(), tmp_path / "wpr.csv"
+    turn = Rotation.from_quat(demo.poses[:, 3:], scalar_first=True)
+    angles = turn.as_euler("xyz", degrees=True)
+    rows = np.column_stack([demo.times * 1000, demo.poses[:, :3], angles])
+    header = "time [ms], x [m], y [m], z [m], roll [deg], pitch [deg], yaw [deg]"
+    np.savetxt(path, rows, delimiter=",", header=header, comments="")
+    (again,) = read_recording(path)
+    found = Rotation.from_quat(again.poses[:, 3:], scalar_first=True)
+    assert (found * turn.inv()).magnitude().max() < 1e-6
+    np.testing.assert_allclose(again.times, demo.times, atol=1e-9)
+
+
+def test_npz_reads_several_demonstrations_and_never_objects(tmp_path):
+    demo, path = recording(), tmp_path / "many.npz"
+    poses = np.stack([demo.poses[:, [0, 1, 2, 4, 5, 6, 3]]] * 2) * ([100] * 3 + [1] * 4)
+    np.savez(path, poses=poses, rate=30.0, length_unit="cm", quaternion="xyzw")
+    first, second = read_recording(path)
+    assert (first.name, second.name) == ("many_1", "many_2")
+    np.testing.assert_allclose(first.poses, demo.poses, atol=1e-9)
+    assert second.times[1] == pytest.approx(1 / 30)
+    np.savez(path, poses=poses, rate=30.0, quaternion="xyzw")
+    with pytest.raises(DemonstrationError, match="states no unit of length"):
+        read_recording(path)
+    assert len(read_recording(path, ImportConfig(length_unit="cm"))) == 2
+    np.savez(path, poses=np.array([{"a": 1}], dtype=object))
+    with pytest.raises(DemonstrationError, match="never loaded"):
+        read_recording(path)
+
+
+def test_unknown_and_absent_files_are_named(tmp_path):
+    with pytest.raises(DemonstrationError, match="does not exist"):
+        read_recording(tmp_path / "none.csv")
+    (tmp_path / "demo.txt").write_text("")
+    with pytest.raises(DemonstrationError, match=r"unknown format '\.txt'; known: \.csv"):
+        read_recording(tmp_path / "demo.txt")
+
+
+def write_bag(path, demo, frame="base", odd=None):
+    """A ROS 2 bag with stamped poses and a gripper that closes half way."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.LATEST)
+    kinds = store.types
+    stamped, boolean = kinds["geometry_msgs/msg/PoseStamped"], kinds["std_msgs/msg/Bool"]
+    header, time = kinds["std_msgs/msg/Header"], kinds["builtin_interfaces/msg/Time"]
+    pose, point = kinds["geometry_msgs/msg/Pose"], kinds["geometry_msgs/msg/Point"]
+    quaternion = kinds["geometry_msgs/msg/Quaternion"]
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        tool = writer.add_connection("/tool", stamped.__msgtype__, typestore=store)
+        grip = writer.add_connection("/grip", boolean.__msgtype__, typestore=store)
+        for i, (t, row) in enumerate(zip(demo.times, demo.poses, strict=True)):
+            stamp = 10**9 + int(t * 1e9)
+            head = header(time(stamp // 10**9, stamp % 10**9), "camera" if i == odd else frame)
+            w, x, y, z = row[3:]
+            message = stamped(head, pose(point(*row[:3]), quaternion(x, y, z, w)))
+            writer.write(tool, stamp, store.serialize_cdr(message, tool.msgtype))
+            if i in (0, 30):
+                state = store.serialize_cdr(boolean(i == 30), grip.msgtype)
+                writer.write(grip, stamp, state)
+
+
+def test_ros2_bags_are_read(tmp_path):
+    pytest.importorskip("rosbags")
+    demo = recording()
+    write_bag(tmp_path / "bag", demo)
+    (again,) = read_recording(tmp_path / "bag", ImportConfig(gripper_topic="/grip"))
+    np.testing.assert_allclose(again.poses, demo.poses, atol=1e-9)
+    np.testing.assert_allclose(again.times, demo.times, atol=1e-8)
+    assert again.gripper.tolist() == [0.0] * 30 + [1.0] * 30
+    with pytest.raises(DemonstrationError, match="topic '/arm' .* /tool"):
+        read_recording(tmp_path / "bag", ImportConfig(pose_topic="/arm"))
+    write_bag(tmp_path / "base_link", demo, frame="base_link")
+    with pytest.raises(DemonstrationError, match="frame 'base_link', wanted 'base'"):
+        read_recording(tmp_path / "base_link")
+    assert read_recording(tmp_path / "base_link", ImportConfig(frame="base_link"))
+    write_bag(tmp_path / "odd", demo, odd=12)
+    with pytest.raises(DemonstrationError, match="message 12: frame 'camera'"):
+        read_recording(tmp_path / "odd")
+
+
+def test_cleaning_removes_tremor_and_sign_flips_and_keeps_the_ends():
+    demo = recording(count=200)
+    rng, poses = np.random.default_rng(0), np.array(recording(count=200).poses)
+    fade = np.sin(np.pi * demo.times / demo.times[-1])[:, None]
+    poses[:, :3] += 0.002 * fade * np.sin(2 * np.pi * 12 * demo.times)[:, None]
+    poses[:, 3:] *= rng.choice([-1.0, 1.0], (200, 1))
+    skill = cleaning.clean(dataclasses.replace(demo, poses=poses))
+    wanted = cleaning.clean(demo)
+    assert skill.shape == (cleaning.POINTS, 8)
+    assert np.all(np.sum(skill[1:, :4] * skill[:-1, :4], axis=1) > 0)
+    found, ideal = (
+        RigidTransform.from_dual_quat(s.astype(float), scalar_first=True) for s in (skill, wanted)
+    )
+    assert np.linalg.norm(found.translation - ideal.translation, axis=1).max() < 4e-4
+    for end, row in ((0, 0), (-1, -1)):
+        np.testing.assert_allclose(found.translation[end], poses[row, :3], atol=1e-5)
+    steps = np.linalg.norm(np.diff(found.translation, axis=0), axis=1)
+    assert steps.max() < 2 * np.median(steps)
+
+
+def test_gripper_events_end_a_skill():
+    up, demo = recording(), recording()
+    still = np.repeat(up.poses[-1:], 20, axis=0)
+    poses = np.concatenate([up.poses, still, up.poses[::-1]])
+    gripper = np.concatenate([np.zeros(70), np.ones(70)])
+    whole = Demonstration("fetch", np.arange(140) * 0.03, poses, gripper)
+    first, second = cutting.at_gripper_events(whole)
+    assert (first.name, first.closed, second.name, second.closed) == (
+        "fetch.1", False, "fetch.2", True,
+    )  # fmt: skip
+    assert cutting.at_gripper_events(demo) == [demo]
+    library = build_library([whole])
+    assert library.names == ("fetch.1", "fetch.2") and library.closed[:2].tolist() == [False, True]
+
+
+def screw_path(start, twist, count):
+    """Poses `[count, 7]` along a constant screw from a pose, and where it ends."""
+    share = np.linspace(0, 1, count)[:, None]
+    path = start * RigidTransform.from_exp_coords(share * twist)
+    rows = [path.translation, path.rotation.as_quat(scalar_first=True)]
+    return np.concatenate(rows, axis=1), path[-1]
+
+
+def test_a_change_of_screw_ends_a_segment():
+    start = RigidTransform.from_components([0.4, 0.0, 0.3], Rotation.from_euler("x", np.pi))
+    first, corner = screw_path(start, np.array([0, 0, 0, 0.0, 0.0, 0.2]), 40)
+    second, _ = screw_path(corner, np.array([0, 0, 1.2, 0.25, 0.0, 0.0]), 40)
+    poses = np.concatenate([first, second[1:]])
+    cuts = cutting.screw_cuts(poses)
+    assert len(cuts) == 1 and abs(cuts[0] - 39) <= 6
+    assert cutting.screw_cuts(first) == []
+    demo = Demonstration("two", np.arange(79) * 0.03, poses, np.zeros(79))
+    assert [part.name for part in cutting.at_screws(demo)] == ["two.1", "two.2"]
