@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Recording demonstrations by hand, in a browser page."""

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: MIT
+"""Record demonstrations in the browser: `python -m hybrid_jax.teach --workcell NAME`."""
+
+import sys
+import time
+from pathlib import Path
+
+from hybrid_jax.errors import HybridJaxError
+from hybrid_jax.train import run_cli
+
+
+def main(
+    workcell: str = "gen3_handling",
+    library: Path = Path("skills"),
+    robot: str = "",
+    host: str = "127.0.0.1",
+    port: int = 8080,
+) -> int:
+    """Serve a page on which the arm follows a handle; record, replay, name and save.
+
+    Args:
+        workcell: name of a shipped cell, or an MJCF file.
+        library: folder that the demonstrations are saved to.
+        robot: kind of robot, as the recordings are to say; the cell's name if not given.
+        host: address to listen at. Anyone who can reach it can move the simulated arm.
+        port: port to listen at.
+    """
+    try:
+        from hybrid_jax.teach.page import TeachPage  # noqa: PLC0415
+    except ImportError as error:
+        raise HybridJaxError(
+            f"the page needs the package {error.name}: pip install 'hybrid_jax[teach]'"
+        ) from None
+    from hybrid_jax.workcell.load import load_workcell  # noqa: PLC0415
+
+    cell = load_workcell(workcell)
+    page = TeachPage(cell, library, robot or cell.source.name, host, port)
+    print(f"open {page.address} in a browser; Ctrl-C ends it", flush=True)
+    try:
+        while True:
+            time.sleep(1.0)
+    except KeyboardInterrupt:
+        page.close()
+        print(f"\ndemonstrations are in {library}", file=sys.stderr)
+        return 0
+
+
+if __name__ == "__main__":
+    run_cli(main)

@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: MIT
+"""The page: a handle on the tool, buttons to record, replay and save, the skills so far."""
+
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import viser
+
+from hybrid_jax.errors import HybridJaxError
+from hybrid_jax.skills.cleaning import continuous_signs, low_pass
+from hybrid_jax.skills.demonstration import (
+    Demonstration,
+    check_demonstration,
+    load_demonstration,
+    save_demonstration,
+)
+from hybrid_jax.teach.recorder import RATE, Recorder
+from hybrid_jax.types import Workcell
+from hybrid_jax.webscene import WebScene
+
+_NONE = "(none yet)"
+
+
+class TeachPage:
+    """Serves the page and moves the arm after the handle until it is closed."""
+
+    def __init__(
+        self, cell: Workcell, library: Path, robot: str, host: str = "127.0.0.1", port: int = 8080
+    ):
+        """Open the page.
+
+        Args:
+            cell: the work cell whose arm is guided.
+            library: folder that demonstrations are saved to.
+            robot: kind of robot, as the recordings are to say.
+            host: address to listen at; only this machine by default.
+            port: the first one that is tried.
+        """
+        self.library = library
+        self.recorder = Recorder(cell, robot)
+        self.server = viser.ViserServer(
+            host=host, port=port, label="hybrid_jax teach", verbose=False
+        )
+        self._scene = WebScene(self.server, cell.model)
+        self._lock = threading.Lock()
+        self._replay: list[np.ndarray] = []
+        self._closing = threading.Event()
+        self._view()
+        self._panel()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    @property
+    def address(self) -> str:
+        """Where a browser finds the page."""
+        return f"http://{self.server.get_host()}:{self.server.get_port()}"
+
+    def close(self) -> None:
+        """Stop following and take the page down."""
+        self._closing.set()
+        self._thread.join()
+        self.server.stop()
+
+    def _view(self) -> None:
+        tool = self.recorder.tool
+        self.handle = self.server.scene.add_transform_controls(
+            "/hand", scale=0.25, position=tool[:3], wxyz=tool[3:], line_width=4.0,
+            depth_test=False,
+        )  # fmt: skip
+        self.server.initial_camera.position = (1.1, -0.7, 0.9)
+        self.server.initial_camera.look_at = tuple(tool[:3])
+
+    def _panel(self) -> None:
+        gui = self.server.gui
+        self.status = gui.add_markdown("")
+        self._record = gui.add_button("Record")
+        self._gripper = gui.add_checkbox("Gripper closed", initial_value=False)
+        self._again = gui.add_button("Replay")
+        self._home = gui.add_button("Handle to tool")
+        self._name = gui.add_text("Name", initial_value="skill")
+        self._note = gui.add_text("Note", initial_value="")
+        self._save = gui.add_button("Save")
+        self._saved = gui.add_dropdown("Saved", options=(_NONE,), initial_value=_NONE)
+        self._show = gui.add_button("Show saved")
+        self._record.on_click(lambda _: self._guarded(self._toggle))
+        self._gripper.on_update(lambda _: setattr(self.recorder, "closed", self._gripper.value))
+        self._again.on_click(lambda _: self._guarded(self._play))
+        self._home.on_click(lambda _: self._guarded(self._fetch_handle))
+        self._save.on_click(lambda _: self._guarded(self._keep))
+        self._show.on_click(lambda _: self._guarded(self._draw_saved))
+        self._list_saved()
+        self.status.content = "Drag the handle; the arm follows."
+
+    def _guarded(self, action) -> None:
+        """Run a button's action; what goes wrong is said on the page and nothing is lost."""
+        try:
+            with self._lock:
+                self.status.content = action() or ""
+        except (HybridJaxError, OSError) as error:
+            self.status.content = f"**Not done:** {error}"
+
+    def _toggle(self) -> str:
+        if self.recorder.recording:
+            self.recorder.stop()
+            self._record.label = "Record"
+            return f"{self.recorder.samples} samples recorded. Replay, save, or record anew."
+        self.recorder.start()
+        self._record.label = "Stop"
+        return "Recording."
+
+    def _fetch_handle(self) -> str:
+        tool = self.recorder.tool
+        self.handle.position, self.handle.wxyz = tool[:3], tool[3:]
+        return "The handle is at the tool."
+
+    def _play(self) -> str:
+        self._replay = self.recorder.frames()
+        return f"Replaying {len(self._replay)} samples." if self._replay else "Nothing is recorded."
+
+    def _keep(self) -> str:
+        demo = self.recorder.demonstration(self._name.value.strip(), self._note.value)
+        check_demonstration(demo)
+        if (self.library / f"{demo.name}.npz").exists():
+            return f"**Not done:** {demo.name!r} is saved already; choose another name."
+        save_demonstration(self.library, demo)
+        self._list_saved()
+        self._draw(demo)
+        return f"Saved {demo.name!r}: {demo.times[-1]:.1f} s, in {self.library}."
+
+    def _list_saved(self) -> None:
+        names = sorted(path.stem for path in self.library.glob("*.npz"))
+        self._saved.options = tuple(names) or (_NONE,)
+
+    def _draw_saved(self) -> str:
+        if self._saved.value == _NONE:
+            return "Nothing is saved yet."
+        demo = load_demonstration(self.library / f"{self._saved.value}.npz")
+        self._draw(demo)
+        return f"{demo.name}: {demo.times[-1]:.1f} s, {demo.robot}. {demo.note}"
+
+    def _draw(self, demo: Demonstration) -> None:
+        smooth = low_pass(demo.times, continuous_signs(np.asarray(demo.poses, float)))
+        self.server.scene.add_spline_catmull_rom(
+            "/shown", smooth[::8, :3], color=(20, 120, 220), line_width=4.0
+        )
+
+    def _run(self) -> None:
+        """Follow the handle at a steady rate."""
+        due = time.monotonic()
+        while not self._closing.is_set():
+            with self._lock:
+                if self._replay:
+                    shown = self._replay.pop(0)
+                else:
+                    self.recorder.tick(np.concatenate([self.handle.position, self.handle.wxyz]))
+                    shown = self.recorder.qpos
+                self._scene.show(shown)
+            due = max(due + 1 / RATE, time.monotonic())
+            time.sleep(max(0.0, due - time.monotonic()))

@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: MIT
+"""The teach page: the recorder by itself, and the page in a real headless Chromium."""
+
+import os
+import shutil
+import time
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from hybrid_jax.errors import DemonstrationError
+from hybrid_jax.skills.demonstration import check_demonstration, load_demonstration
+from hybrid_jax.teach.recorder import Recorder
+
+
+def test_the_recorder_keeps_what_the_arm_did(cell):
+    recorder = Recorder(cell, "test arm")
+    start = np.array(recorder.tool)
+    hand = start.copy()
+    recorder.tick(hand)
+    recorder.start()
+    for i in range(90):
+        hand[2] = start[2] - 0.10 * np.clip((i - 10) / 60, 0, 1)
+        recorder.closed = i >= 40
+        recorder.tick(hand)
+    recorder.stop()
+    recorder.tick(start)
+    demo = recorder.demonstration("down", "a note")
+    check_demonstration(demo)
+    assert demo.robot == "test arm" and demo.note == "a note"
+    assert 60 < len(demo.times) < 90, "the hand's rest before the motion is left out"
+    assert demo.poses[-1, 2] == pytest.approx(start[2] - 0.10, abs=2e-3)
+    assert demo.gripper[0] == 0 and demo.gripper[-1] == 1
+    assert len(recorder.frames()) == 90
+
+
+def test_nothing_recorded_is_refused_by_a_sentence(cell):
+    with pytest.raises(DemonstrationError, match="0 samples; at least 8"):
+        check_demonstration(Recorder(cell, "test arm").demonstration("empty"))
+
+
+@pytest.fixture
+def browser():
+    """Headless Chromium; must be there where CI runs."""
+    webdriver = pytest.importorskip("selenium.webdriver")
+    chromium, driver = shutil.which("chromium"), shutil.which("chromedriver")
+    if not (chromium and driver):
+        assert not os.environ.get("CI"), "CI must have Chromium and its driver"
+        pytest.skip("Chromium or chromedriver is not installed")
+    options = webdriver.ChromeOptions()
+    options.binary_location = chromium
+    for flag in (
+        "--headless=new", "--no-sandbox", "--window-size=1000,700", "--use-angle=swiftshader",
+        "--enable-unsafe-swiftshader", "--disable-dev-shm-usage",
+    ):  # fmt: skip
+        options.add_argument(flag)
+    service = webdriver.ChromeService(executable_path=driver)
+    opened = webdriver.Chrome(options=options, service=service)
+    yield opened
+    opened.quit()
+
+
+@pytest.fixture
+def page(cell, tmp_path):
+    pytest.importorskip("viser")
+    from hybrid_jax.teach.page import TeachPage
+
+    opened = TeachPage(cell, tmp_path / "skills", "test arm", port=8123)
+    yield opened
+    opened.close()
+
+
+def wait_for(condition, seconds=40.0):
+    """The first true value of a condition."""
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        found = condition()
+        if found:
+            return found
+        time.sleep(0.1)
+    raise AssertionError("waited in vain")
+
+
+def press(browser, label):
+    """Click the button with this text."""
+    found = wait_for(lambda: browser.find_elements("xpath", f"//button[.//*[text()='{label}']]"))
+    found[0].click()
+
+
+def says(browser, text):
+    """Wait until the page shows a text."""
+    return wait_for(lambda: text in browser.find_element("tag name", "body").text)
+
+
+def pixel(page, point, size):
+    """Where the browser shows a point of the scene, from its camera; x, y from the top left."""
+    camera = wait_for(lambda: list(page.server.get_clients().values()))[0].camera
+    forward = np.asarray(camera.look_at) - camera.position
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, camera.up_direction)
+    right /= np.linalg.norm(right)
+    up = np.cross(right, forward)
+    away = np.asarray(point) - camera.position
+    height = np.tan(camera.fov / 2) * (away @ forward)
+    x, y = away @ right / (height * size[0] / size[1]), away @ up / height
+    return (1 + x) / 2 * size[0], (1 - y) / 2 * size[1]
+
+
+def drag(browser, page, distance):
+    """Take the handle's arrow along the tool's z axis and pull."""
+    from selenium.webdriver import ActionChains
+
+    canvas = browser.find_element("tag name", "canvas")
+    size = canvas.size["width"], canvas.size["height"]
+    tool = np.array(page.handle.position)
+    axis = Rotation.from_quat(page.handle.wxyz, scalar_first=True).apply([0.0, 0.0, 1.0])
+    grip, end = tool + 0.225 * axis, tool + (0.225 + distance) * axis
+    (x0, y0), (x1, y1) = (pixel(page, p, size) for p in (grip, end))
+    chain = ActionChains(browser, duration=60)
+    chain.move_to_element_with_offset(canvas, int(x0 - size[0] / 2), int(y0 - size[1] / 2))
+    chain.click_and_hold()
+    for share in np.linspace(0.05, 1, 20):
+        x, y = x0 + share * (x1 - x0), y0 + share * (y1 - y0)
+        chain.move_to_element_with_offset(canvas, int(x - size[0] / 2), int(y - size[1] / 2))
+    chain.release().perform()
+
+
+def test_a_skill_is_dragged_recorded_saved_and_there_after_a_reload(browser, page):
+    browser.get(page.address)
+    says(browser, "Drag the handle")
+    wait_for(lambda: list(page.server.get_clients().values()))
+    time.sleep(2.0)  # the scene's first frame
+    began = np.array(page.handle.position)
+    press(browser, "Record")
+    says(browser, "Recording.")
+    drag(browser, page, 0.15)
+    wait_for(lambda: abs(page.recorder.tool[2] - page.handle.position[2]) < 5e-3)
+    press(browser, "Stop")
+    says(browser, "samples recorded")
+    name = browser.find_element("xpath", "//input[@value='skill']")
+    name.clear()
+    name.send_keys("../out")
+    press(browser, "Save")
+    says(browser, "is no name for a demonstration")
+    name.clear()
+    name.send_keys("my_skill")
+    press(browser, "Save")
+    says(browser, "Saved 'my_skill'")
+    moved = np.array(page.handle.position) - began
+    demo = load_demonstration(page.library / "my_skill.npz")
+    assert np.linalg.norm(moved) > 0.05
+    np.testing.assert_allclose(demo.poses[-1, :3] - demo.poses[0, :3], moved, atol=0.01)
+    press(browser, "Replay")
+    says(browser, "Replaying")
+    browser.refresh()
+    says(browser, "Show saved")
+    assert page.library.joinpath("my_skill.npz").is_file()
+    wait_for(lambda: browser.find_elements("xpath", "//input[@value='my_skill']"))
+    press(browser, "Show saved")
+    says(browser, "my_skill:")
