@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: MIT
+"""Keep demonstrations: `python -m hybrid_jax.demos list | import | split | draw`."""
+
+import sys
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+from hybrid_jax.errors import HybridJaxError
+from hybrid_jax.skills.demonstration import (
+    load_demonstration,
+    load_demonstrations,
+    save_demonstration,
+)
+from hybrid_jax.skills.importing import ImportConfig, read_recording
+from hybrid_jax.workcell.assets import demonstrations_folder
+
+
+def list_library(library: Path | None = None) -> int:
+    """List the demonstrations of a library.
+
+    Args:
+        library: folder of demonstrations; the shipped ones if not given.
+    """
+    demos = load_demonstrations(library or demonstrations_folder())
+    width = max(len(demo.name) for demo in demos)
+    for demo in demos:
+        grip = "closed" if demo.closed else "open"
+        print(f"{demo.name:{width}s} {demo.times[-1]:5.1f} s  {grip:6s}  {demo.robot}  {demo.note}")
+    return 0
+
+
+def import_file(
+    recording: tyro.conf.Positional[Path],
+    library: Path = Path("skills"),
+    config: tyro.conf.OmitArgPrefixes[ImportConfig] = ImportConfig(),
+) -> int:
+    """Read a recording (.csv, .npz, .mcap, .db3 or a bag's folder) into a library.
+
+    Args:
+        recording: the file.
+        library: folder that it is saved to.
+        config: what the file does not say itself.
+    """
+    for demo in read_recording(recording, config):
+        path = save_demonstration(library, demo)
+        seconds = demo.times[-1] - demo.times[0]
+        print(f"{demo.name}: {len(demo.times)} samples, {seconds:.1f} s, {path}")
+    return 0
+
+
+def split_file(
+    file: tyro.conf.Positional[Path], at: Literal["gripper", "screw"] = "gripper"
+) -> int:
+    """Split a demonstration into parts NAME.1, NAME.2, ... beside it.
+
+    Libraries split at gripper events by themselves when they are loaded.
+
+    Args:
+        file: a demonstration of a library.
+        at: where the gripper acts, or where one constant screw ends.
+    """
+    from hybrid_jax.skills.cutting import at_gripper_events, at_screws  # noqa: PLC0415
+
+    cut = at_gripper_events if at == "gripper" else at_screws
+    for part in cut(load_demonstration(file)):
+        print(save_demonstration(file.parent, part))
+    return 0
+
+
+def draw_library(out: Path, library: Path | None = None) -> int:
+    """Draw each demonstration of a library, one picture each.
+
+    Args:
+        out: folder of the pictures.
+        library: folder of demonstrations; the shipped ones if not given.
+    """
+    from hybrid_jax.skillpictures import draw_demonstration  # noqa: PLC0415
+
+    for demo in load_demonstrations(library or demonstrations_folder()):
+        print(draw_demonstration(out, demo))
+    return 0
+
+
+COMMANDS = {
+    "list": list_library,
+    "import": import_file,
+    "split": split_file,
+    "draw": draw_library,
+}
+
+if __name__ == "__main__":
+    try:
+        sys.exit(tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="hybrid_jax.demos"))
+    except HybridJaxError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)
