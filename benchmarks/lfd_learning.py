@@ -127,6 +127,7 @@ def study(name: str, train, test, config: dqn.DqnConfig) -> tuple[list[dict], li
         episodes, returns, _ = (np.asarray(c) for c in curve)
         curves.append((episodes, returns))
         seconds.append(time.perf_counter() - began)
+        print(f"DQN{name}: {len(curves)} of {SEEDS} seeds, {seconds[-1]:.0f} s", flush=True)
     shares = [optimum / returns[-1] for _, returns in curves]
     steady = [steady_episode(*curve, optimum) for curve in curves]
     ends = f"{min(steady):.0f} to {max(steady):.0f}"
