@@ -18,7 +18,6 @@ import tyro
 
 from benchmarks import lfd_learning, lfd_maps, lfd_missing
 from benchmarks.report import metric, write
-from hybrid_jax.compilecache import enable_compile_cache
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.planner.loading import read_library
 from hybrid_jax.skills.mapping import map_skills
@@ -54,7 +53,6 @@ def main(
         picture: learning curve to draw.
         demonstrations: folder of the RoboTasks files.
     """
-    enable_compile_cache()
     metrics = lfd_learning.figures(picture)
     metrics += mapping_seconds()
     if demonstrations.is_dir():
