@@ -112,6 +112,10 @@ def test_csv_faults_are_named_by_their_line(tmp_path):
     write_csv(path, broken(poses=((17, 1), np.nan)), head="# robot: other arm\n")
     with pytest.raises(DemonstrationError, match=r"line 20: y is nan"):  # a comment, the header
         read_recording(path)
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines[:10], "", "# a pause", *lines[10:]]))
+    with pytest.raises(DemonstrationError, match=r"line 22: y is nan"):
+        read_recording(path)
     write_csv(path, recording())
     lines = path.read_text().splitlines()
     lines[8] = lines[8].replace("0.", "zero.", 1)
@@ -148,6 +152,31 @@ def test_npz_reads_several_demonstrations_and_never_objects(tmp_path):
     np.savez(path, poses=np.array([{"a": 1}], dtype=object))
     with pytest.raises(DemonstrationError, match="never loaded"):
         read_recording(path)
+
+
+def test_what_is_no_number_is_refused_by_a_sentence(tmp_path):
+    path = tmp_path / "odd.npz"
+    poses = np.stack([recording().poses] * 2)
+    about = {"length_unit": "m", "quaternion": "wxyz"}
+    np.savez(path, poses=poses, times=np.arange(7.0), **about)
+    with pytest.raises(DemonstrationError, match=r"odd\.npz cannot be read: .*broadcast"):
+        read_recording(path)
+    np.savez(path, poses=poses.astype(str)[:, :, ::-1] + "x", rate=30, **about)
+    with pytest.raises(DemonstrationError, match="could not convert"):
+        read_recording(path)
+    np.savez(path, poses=poses[0], times=recording().times, gripper=np.zeros(3), **about)
+    with pytest.raises(DemonstrationError, match=r"gripper must have shape \(60,\)"):
+        read_recording(path)
+
+
+def test_a_name_is_taken_once(tmp_path):
+    save_demonstration(tmp_path, recording())
+    before = (tmp_path / "lift.npz").read_bytes()
+    with pytest.raises(DemonstrationError, match="is there already"):
+        save_demonstration(tmp_path, recording(count=80))
+    assert (tmp_path / "lift.npz").read_bytes() == before
+    save_demonstration(tmp_path, recording(count=80), replace=True)
+    assert len(load_demonstration(tmp_path / "lift.npz").times) == 80
 
 
 def test_unknown_and_absent_files_are_named(tmp_path):
@@ -191,6 +220,13 @@ def test_ros2_bags_are_read(tmp_path):
     np.testing.assert_allclose(again.poses, demo.poses, atol=1e-9)
     np.testing.assert_allclose(again.times, demo.times, atol=1e-8)
     assert again.gripper.tolist() == [0.0] * 30 + [1.0] * 30
+    file = next((tmp_path / "bag").glob("*.mcap"))
+    assert len(read_recording(file)[0].times) == 60
+    file.with_name("torn.mcap").write_bytes(file.read_bytes()[:200])
+    (tmp_path / "torn").mkdir()
+    file.with_name("torn.mcap").rename(tmp_path / "torn" / "torn.mcap")
+    with pytest.raises(DemonstrationError, match="cannot be read as a ROS 2 bag"):
+        read_recording(tmp_path / "torn")
     with pytest.raises(DemonstrationError, match="topic '/arm' .* /tool"):
         read_recording(tmp_path / "bag", ImportConfig(pose_topic="/arm"))
     write_bag(tmp_path / "base_link", demo, frame="base_link")

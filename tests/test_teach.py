@@ -126,6 +126,18 @@ def drag(browser, page, distance):
     chain.release().perform()
 
 
+def enter(name, page, text):
+    """Type a name and wait until the page's server has it."""
+    name.clear()
+    name.send_keys(text)
+    wait_for(lambda: page._name.value == text)
+
+
+def lowered(page, began):
+    """Has the handle moved down?"""
+    return page.handle.position[2] < began[2] - 0.05
+
+
 def test_a_skill_is_dragged_recorded_saved_and_there_after_a_reload(browser, page):
     browser.get(page.address)
     says(browser, "Drag the handle")
@@ -134,22 +146,24 @@ def test_a_skill_is_dragged_recorded_saved_and_there_after_a_reload(browser, pag
     began = np.array(page.handle.position)
     press(browser, "Record")
     says(browser, "Recording.")
-    drag(browser, page, 0.15)
+    for _ in range(3):  # before the scene's first frame a drag turns the view instead
+        drag(browser, page, 0.15)
+        time.sleep(2.0)
+        if lowered(page, began):
+            break
+    assert lowered(page, began)
     wait_for(lambda: abs(page.recorder.tool[2] - page.handle.position[2]) < 5e-3)
     press(browser, "Stop")
     says(browser, "samples recorded")
     name = browser.find_element("xpath", "//input[@value='skill']")
-    name.clear()
-    name.send_keys("../out")
+    enter(name, page, "../out")
     press(browser, "Save")
     says(browser, "is no name for a demonstration")
-    name.clear()
-    name.send_keys("my_skill")
+    enter(name, page, "my_skill")
     press(browser, "Save")
     says(browser, "Saved 'my_skill'")
     moved = np.array(page.handle.position) - began
     demo = load_demonstration(page.library / "my_skill.npz")
-    assert np.linalg.norm(moved) > 0.05
     np.testing.assert_allclose(demo.poses[-1, :3] - demo.poses[0, :3], moved, atol=0.01)
     press(browser, "Replay")
     says(browser, "Replaying")

@@ -5,6 +5,7 @@ import os
 import re
 import warnings
 import zipfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -127,8 +128,7 @@ def check_demonstration(
     demo: Demonstration,
     *,
     frame: str = BASE,
-    row: str = "row {}",
-    first: int = 0,
+    label: Callable[[int], str] = "row {}".format,
     max_gap: float = 0.25,
 ) -> None:
     """Refuse a recording that no skill can be made of.
@@ -136,8 +136,7 @@ def check_demonstration(
     Args:
         demo: what was recorded.
         frame: the frame that it must be given in.
-        row: how a sample is called in messages, e.g. `line {}`.
-        first: number of the first sample in these words.
+        label: what a sample is called in messages, e.g. the line of its file.
         max_gap: longest time between two samples [s]; five times the usual one is allowed anyway.
 
     Raises:
@@ -152,21 +151,28 @@ def check_demonstration(
     faults = sorted(_faults(demo, max_gap), key=lambda fault: fault[0])
     if faults:
         sample, what = faults[0]
-        raise DemonstrationError(f"{demo.name}, {row.format(first + sample)}: {what}")
+        raise DemonstrationError(f"{demo.name}, {label(sample)}: {what}")
     if not moves(demo.poses):
         raise DemonstrationError(
             f"{demo.name}: the tool does not move by {1000 * REST[0]:g} mm or {REST[1]} rad"
         )
 
 
-def save_demonstration(folder: Path, demo: Demonstration) -> Path:
+def save_demonstration(folder: Path, demo: Demonstration, *, replace: bool = False) -> Path:
     """Write one demonstration to its own file `NAME.npz` of a library's folder.
 
+    Args:
+        folder: the library; it is made if it is not there.
+        demo: what to write.
+        replace: overwrite a demonstration of this name.
+
     Raises:
-        DemonstrationError: it is not a valid recording.
+        DemonstrationError: it is not a valid recording, or the name is taken.
     """
     check_demonstration(demo)
     path = folder / f"{demo.name}.npz"
+    if path.exists() and not replace:
+        raise DemonstrationError(f"{path} is there already; choose another name, or remove it")
     arrays = {"times": demo.times, "poses": demo.poses, "gripper": demo.gripper}
     arrays = {name: np.asarray(values, np.float32) for name, values in arrays.items()}
     about = {"robot": demo.robot, "frame": demo.frame, "note": demo.note}

@@ -113,7 +113,7 @@ def main(
     """
     folder = out or demonstrations_folder()
     for demo in record(load_workcell(workcell), robot, seed=seed):
-        path = save_demonstration(folder, demo)
+        path = save_demonstration(folder, demo, replace=True)
         print(f"{demo.name}: {demo.times[-1]:.1f} s, {path}")
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from flax import struct
 from jax import Array
 
-from hybrid_jax.errors import UnknownNameError
+from hybrid_jax.errors import DemonstrationError, UnknownNameError
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.skills.cleaning import clean
 from hybrid_jax.skills.cutting import at_gripper_events
@@ -57,11 +57,11 @@ def build_library(demos: list[Demonstration]) -> SkillLibrary:
     """Clean demonstrations and stack them; where the gripper acts, one skill ends.
 
     Raises:
-        ValueError: no demonstration, or more than `MAX_SKILLS` skills in them.
+        DemonstrationError: no demonstration, or more than `MAX_SKILLS` skills in them.
     """
     demos = [part for demo in demos for part in at_gripper_events(demo)]
     if not 0 < len(demos) <= MAX_SKILLS:
-        raise ValueError(f"a library holds 1 to {MAX_SKILLS} skills, got {len(demos)}")
+        raise DemonstrationError(f"a library holds 1 to {MAX_SKILLS} skills, got {len(demos)}")
     poses = np.stack([clean(d) for d in demos])
     empty = MAX_SKILLS - len(demos)
     filler = np.broadcast_to(np.array(dq.IDENTITY, np.float32), (empty, *poses.shape[1:]))

@@ -12,7 +12,6 @@ from hybrid_jax.errors import HybridJaxError
 from hybrid_jax.skills.cleaning import continuous_signs, low_pass
 from hybrid_jax.skills.demonstration import (
     Demonstration,
-    check_demonstration,
     load_demonstration,
     save_demonstration,
 )
@@ -121,9 +120,6 @@ class TeachPage:
 
     def _keep(self) -> str:
         demo = self.recorder.demonstration(self._name.value.strip(), self._note.value)
-        check_demonstration(demo)
-        if (self.library / f"{demo.name}.npz").exists():
-            return f"**Not done:** {demo.name!r} is saved already; choose another name."
         save_demonstration(self.library, demo)
         self._list_saved()
         self._draw(demo)
@@ -150,12 +146,20 @@ class TeachPage:
         """Follow the handle at a steady rate."""
         due = time.monotonic()
         while not self._closing.is_set():
-            with self._lock:
-                if self._replay:
-                    shown = self._replay.pop(0)
-                else:
-                    self.recorder.tick(np.concatenate([self.handle.position, self.handle.wxyz]))
-                    shown = self.recorder.qpos
-                self._scene.show(shown)
+            try:
+                with self._lock:
+                    self._step()
+            except Exception as error:  # noqa: BLE001 a thread must not end without a word
+                self.status.content = f"**The arm stopped following:** {error!r}"
+                raise
             due = max(due + 1 / RATE, time.monotonic())
             time.sleep(max(0.0, due - time.monotonic()))
+
+    def _step(self) -> None:
+        """Show the next configuration of a replay, or the one that follows the handle."""
+        if self._replay:
+            shown = self._replay.pop(0)
+        else:
+            self.recorder.tick(np.concatenate([self.handle.position, self.handle.wxyz]))
+            shown = self.recorder.qpos
+        self._scene.show(shown)

@@ -43,4 +43,9 @@ def read_recording(path: Path, config: ImportConfig = ImportConfig()) -> list[De
             f"{path}: unknown format {path.suffix!r}; "
             f"known: {', '.join(READERS)}, or a bag's folder"
         )
-    return reader(path, config)
+    try:
+        return reader(path, config)
+    except DemonstrationError:
+        raise
+    except (ValueError, TypeError, OSError) as error:  # text where numbers are due, no permission
+        raise DemonstrationError(f"{path} cannot be read: {error}") from None

@@ -49,22 +49,26 @@ def read_bag(path: Path, config: ImportConfig = ImportConfig()) -> list[Demonstr
         DemonstrationError: no or several topics that fit, or a message that is wrong.
     """
     try:
-        from rosbags.highlevel import AnyReader, AnyReaderError
+        from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
         raise DemonstrationError(
             f"{path}: reading ROS 2 bags needs the package rosbags: pip install 'hybrid_jax[ros]'"
         ) from None
     try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
+        # a bag is a folder: a file of it stands for the whole
+        bag = path.parent if (path.parent / "metadata.yaml").is_file() else path
+        with AnyReader([bag], default_typestore=get_typestore(Stores.LATEST)) as reader:
             poses = _topic(reader.connections, config.pose_topic, POSE_MESSAGES, path)
             received = [(t, *_stamped(m)) for t, m in _messages(reader, poses)]
             grip = [(0.0, 0.0)]
             if config.gripper_topic:
                 topic = _topic(reader.connections, config.gripper_topic, GRIPPER_MESSAGES, path)
                 grip = [(t, float(m.data)) for t, m in _messages(reader, topic)] or grip
-    except AnyReaderError as error:
-        raise DemonstrationError(f"{path} cannot be read as a ROS 2 bag: {error}") from None
+    except DemonstrationError:
+        raise
+    except Exception as error:  # noqa: BLE001 storage plugins raise errors of many kinds
+        raise DemonstrationError(f"{path} cannot be read as a ROS 2 bag: {error!r}") from None
     return [_from_bag(path, config, received, grip)]
 
 
@@ -82,4 +86,4 @@ def _from_bag(path: Path, config: ImportConfig, received: list, grip: list) -> D
     last = np.clip(np.searchsorted(when, arrived, side="right") - 1, 0, None)
     times = np.array(stamps) - stamps[0]
     columns = dict(times=times, poses=np.array(poses), gripper=state[last])
-    return finish(path, config, {"frame": frames[0]}, columns, "message {}")
+    return finish(path, config, {"frame": frames[0]}, columns, "message {}".format)

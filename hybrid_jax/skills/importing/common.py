@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """What all readers of recordings share: what a file does not say, units, the final check."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -49,10 +50,9 @@ def finish(
     config: ImportConfig,
     about: dict,
     columns: dict,
-    row: str = "row {}",
-    first: int = 0,
+    label: Callable[[int], str] = "row {}".format,
 ) -> Demonstration:
-    """Put a demonstration together and check it."""
+    """Put a demonstration together and check it; `label` says what a sample is called."""
     demo = Demonstration(
         name=about.get("name") or config.name or path.stem,
         times=columns["times"],
@@ -62,5 +62,5 @@ def finish(
         frame=about.get("frame") or config.frame,
         note=config.note or about.get("note", ""),
     )
-    check_demonstration(demo, frame=config.frame, row=row, first=first)
+    check_demonstration(demo, frame=config.frame, label=label)
     return replace(demo, frame=BASE)

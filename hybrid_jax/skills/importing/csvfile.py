@@ -85,8 +85,4 @@ def read_csv(path: Path, config: ImportConfig = ImportConfig()) -> list[Demonstr
     gripper = table[:, header["gripper"][0]] if "gripper" in header else np.zeros(len(table))
     columns = {"times": column("time", "time", TIMES), "gripper": gripper}
     columns["poses"] = np.concatenate([position, turn], axis=1)
-    return [finish(path, config, about, columns, "line {}", _first_line(lines))]
-
-
-def _first_line(lines: list) -> int:
-    return lines[1][0] if len(lines) > 1 else 0
+    return [finish(path, config, about, columns, lambda sample: f"line {lines[sample + 1][0]}")]

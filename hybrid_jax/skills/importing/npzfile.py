@@ -57,6 +57,7 @@ def read_npz(path: Path, config: ImportConfig = ImportConfig()) -> list[Demonstr
     if poses.ndim == 2:
         return [finish(path, config, about, dict(times=times, poses=poses, gripper=gripper))]
     name = config.name or path.stem
+    # one row of times may serve all demonstrations
     times, gripper = (np.broadcast_to(a, poses.shape[:-1]) for a in (times, gripper))
     return [
         finish(path, config, about | {"name": f"{name}_{i + 1}"}, dict(times=t, poses=p, gripper=g))
