@@ -64,7 +64,11 @@ def split_file(
     from hybrid_jax.skills.cutting import at_gripper_events, at_screws  # noqa: PLC0415
 
     cut = at_gripper_events if at == "gripper" else at_screws
-    for part in cut(load_demonstration(file)):
+    parts = cut(load_demonstration(file))
+    if len(parts) < 2:
+        print(f"{file.stem} is one piece: nothing to split")
+        return 0
+    for part in parts:
         print(save_demonstration(file.parent, part))
     return 0
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from hybrid_jax import demos
 from hybrid_jax.errors import DemonstrationError, RunFolderError
 from hybrid_jax.skills import cleaning, cutting
 from hybrid_jax.skills.demonstration import (
@@ -19,6 +20,7 @@ from hybrid_jax.skills.demonstration import (
 )
 from hybrid_jax.skills.importing import ImportConfig, read_recording
 from hybrid_jax.skills.library import build_library
+from hybrid_jax.workcell.assets import demonstrations_folder
 
 
 def recording(name="lift", count=60, gripper=0.0) -> Demonstration:
@@ -291,3 +293,23 @@ def test_a_change_of_screw_ends_a_segment():
     assert cutting.screw_cuts(first) == []
     demo = Demonstration("two", np.arange(79) * 0.03, poses, np.zeros(79))
     assert [part.name for part in cutting.at_screws(demo)] == ["two.1", "two.2"]
+
+
+def test_commands_import_list_split_and_draw(tmp_path, capsys):
+    write_csv(tmp_path / "up.csv", recording(), head="# note: by hand\n")
+    library = tmp_path / "library"
+    assert demos.import_file(tmp_path / "up.csv", library) == 0
+    assert demos.list_library(library) == 0
+    assert "by hand" in capsys.readouterr().out
+    assert demos.draw_library(tmp_path / "pictures", library) == 0
+    assert (tmp_path / "pictures" / "up.png").stat().st_size > 5000
+    with pytest.raises(DemonstrationError, match="is there already"):
+        demos.import_file(tmp_path / "up.csv", library)
+    assert demos.split_file(library / "up.npz") == 0
+    assert [path.name for path in library.iterdir()] == ["up.npz"], "no event, nothing to split"
+
+
+def test_twenty_skills_are_shipped():
+    shipped = load_demonstrations(demonstrations_folder())
+    assert len(shipped) == 20
+    assert all(demo.robot == "Kinova Gen3" and demo.note for demo in shipped)
