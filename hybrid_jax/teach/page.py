@@ -139,7 +139,7 @@ class TeachPage:
     def _draw(self, demo: Demonstration) -> None:
         smooth = low_pass(demo.times, continuous_signs(np.asarray(demo.poses, float)))
         self.server.scene.add_spline_catmull_rom(
-            "/shown", smooth[::8, :3], color=(20, 120, 220), line_width=4.0
+            "/shown", smooth[::8, :3], color=(20, 120, 220), thickness=4.0, thickness_units="screen"
         )
 
     def _run(self) -> None:
