@@ -31,6 +31,7 @@ def draw_curves(
         if points:
             axis.plot(*zip(*points, strict=True), lw=1.2)
         axis.set(xlabel=unit, ylabel=name.replace("_", " "))
+        axis.locator_params(axis="x", nbins=5)
         axis.grid(alpha=0.3)
     fig.suptitle(title)
     fig.savefig(path, dpi=110)
