@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from hybrid_jax.kernels.primitives import local_shapes, row_links, world_shapes
+from hybrid_jax.kernels.primitives import local_shapes, row_links
 from hybrid_jax.quiet import engine_messages
 from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.assets import find_workcell
@@ -100,8 +100,8 @@ class Bullet:
 
         self.bullet, self.cell = pybullet, cell
         pybullet.connect(pybullet.DIRECT)
-        fixed = [pybullet.createMultiBody(0, self._shapes([one]))
-                 for one in _primitives(world_shapes(cell))]  # fmt: skip
+        world = _primitives(cell.fixtures) + _primitives(cell.scene.objects)
+        fixed = [pybullet.createMultiBody(0, self._shapes([one])) for one in world]
         self.robot = self._robot(cell)
         self._filter(fixed)
         self.joints = cell.chain.axis.shape[0]

@@ -92,7 +92,7 @@ class ContactPairs:
     """Which primitives may touch which: 1 where a pair counts.
 
     Rows are the robot's primitives and the payload's slots in the order of
-    `kernels.primitives.join`, columns the fixtures and objects in the same order.
+    `kernels.primitives.join`, columns the fixtures, then the objects.
     """
 
     world: Array

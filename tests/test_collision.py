@@ -8,7 +8,12 @@ import numpy as np
 import oracles
 import pytest
 
-from hybrid_jax.kernels.collision import clearance, clearances, edge_clearance
+from hybrid_jax.kernels.collision import (
+    clearance,
+    clearance_up_to,
+    clearances,
+    edge_clearance,
+)
 from hybrid_jax.workcell.contacts import may_collide
 from hybrid_jax.workcell.scene import attach, detach, with_opening, with_support
 
@@ -127,6 +132,16 @@ def test_a_large_batch_is_as_exact_as_every_pair(cell):
     np.testing.assert_allclose(batch(q), few, atol=1e-6)
     parts = jax.jit(jax.vmap(lambda one: clearances(cell, one)))(q)
     np.testing.assert_allclose(jnp.min(parts, axis=1), few, atol=1e-6)
+
+
+@pytest.mark.parametrize("enough", [0.004, 0.05])
+def test_clearance_up_to_is_the_clearance_cut_off(cell, configurations, enough):
+    """In small and large batches; some of either kind occur."""
+    whole = np.asarray(jax.vmap(clearance, (None, 0))(cell, configurations))
+    assert (whole < enough).any() and (whole > enough).any()
+    for size in (20, 200):
+        found = jax.vmap(clearance_up_to, (None, 0, None))(cell, configurations[:size], enough)
+        np.testing.assert_allclose(found, np.minimum(whole[:size], enough), atol=1e-6)
 
 
 def test_scenes_and_configurations_batch_in_any_nest(cell, configurations):

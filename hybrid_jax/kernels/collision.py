@@ -22,45 +22,49 @@ from hybrid_jax.kernels.kinematics import link_frames
 from hybrid_jax.kernels.nearest import Nearest, Pairing
 from hybrid_jax.kernels.primitives import (
     Blocks,
-    joined_order,
     local_shapes,
     robot_rows,
     row_links,
     world_blocks,
-    world_shapes,
+    world_count,
 )
 from hybrid_jax.types import Shapes, Workcell
 
-_ROWS, _PAIRS = 5, 6
+_MEASURED = (5, 6)
 """Measured at first: the best so many pairs of the best so many rows. More of either makes fewer
 configurations uncertain, and costs more for all."""
+_MEASURED_NEAR = (4, 5)
+"""The same where only what is near counts: most configurations are certain by their bounds."""
 _TABLE = 64
+_REDO = 16
 """Configurations at a time of which every pair is measured: the uncertain, and small batches."""
 
 
 def _groups(cell: Workcell, own: Blocks, parts: str) -> list:
-    """Obstacles and which of them count for which row."""
+    """Obstacles and which of them count for which row: fixtures, objects, the robot itself.
+
+    Fixtures stand apart from objects because they are the same for a whole batch.
+    """
     pairs, scene, fixtures = cell.pairs, cell.scene, cell.fixtures
     if pairs.world.shape[0] != 1:
         raise ValueError("a batch of cells must share its contact pairs: vmap over scenes only")
-    payload = pairs.payload[0]
-    order = jnp.array(
-        joined_order((fixtures.slim, scene.objects.slim), (fixtures.count, scene.objects.count)),
-        int,
-    )
-    objects = jnp.ones((scene.support_on.shape[0], scene.objects.count))
-    support = jnp.concatenate([scene.support_on, objects], axis=1)[:, order].T
-    spared = jnp.ones((own.radius.shape[0], 1))
-    groups = {
-        "world": (world_blocks(cell), Pairing(pairs.world[0], payload, support)),
-        "own": (own, Pairing(pairs.own[0], payload, spared)),
-    }
-    wanted = ("world", "own") if parts == "all" else (parts,)
-    return [groups[name] for name in wanted if groups[name][0].radius.shape[0]]
+    payload, count = pairs.payload[0], fixtures.count
+    found = []
+    if parts != "own":
+        objects = jnp.ones((scene.objects.count, 1))
+        fixed, movable = pairs.world[0, :, :count], pairs.world[0, :, count:]
+        found = [
+            (world_blocks(fixtures), Pairing(fixed, payload, scene.support_on.T)),
+            (world_blocks(scene.objects), Pairing(movable, payload, objects)),
+        ]
+    if parts != "world":
+        spared = jnp.ones((own.radius.shape[0], 1))
+        found.append((own, Pairing(pairs.own[0], payload, spared)))
+    return [(blocks, pairing) for blocks, pairing in found if blocks.radius.shape[0]]
 
 
-def _kernel(cell: Workcell, q: Array, *, parts: str, every: bool) -> Nearest:
-    """One pass over a batch: every pair, or the most promising ones by their bounds."""
+def _kernel(cell: Workcell, q: Array, *, parts: str, measured: tuple[int, int] | None) -> Nearest:
+    """One pass over a batch: every pair, or the most promising `measured` ones by their bounds."""
     rows, blocks = robot_rows(cell, q)
     slim = cell.robot.shapes.slim + cell.scene.payload.slim
     cover = len(cell.pairs.cover)
@@ -72,28 +76,28 @@ def _kernel(cell: Workcell, q: Array, *, parts: str, every: bool) -> Nearest:
     groups = _groups(cell, own, parts)
     if not groups:
         return answer
-    if not every:
+    if measured:
         bounds = jnp.full(rows.centre.shape[1:], FAR)
         for obstacles, pairing in groups:
             bounds = nearest.row_bounds(rows, obstacles, pairing, bounds)
     for some, whole in ((slice(0, slim), None), (slice(slim, rows.radius.shape[0]), boxes)):
         if some.start == some.stop:
             continue
-        if every:
-            found = nearest.tabulate(rows, whole, groups, some)
+        if measured:
+            found = _if_needed(rows, whole, groups, some, bounds, answer, measured)
         else:
-            found = _if_needed(rows, whole, groups, some, bounds, answer)
+            found = nearest.tabulate(rows, whole, groups, some)
         answer = answer.merge(found)
     return answer
 
 
-def _if_needed(rows, whole, groups, some: slice, bounds, known: Nearest) -> Nearest:
+def _if_needed(rows, whole, groups, some: slice, bounds, known: Nearest, measured) -> Nearest:
     """Search unless every bound is beyond what is known."""
     least = jnp.min(bounds[some], axis=0)
     idle = known._replace(distance=jnp.full_like(least, FAR), rest=least)
     return jax.lax.cond(
         jnp.any(least < known.distance),
-        lambda: nearest.search(rows, whole, groups, some, bounds, _ROWS, _PAIRS),
+        lambda: nearest.search(rows, whole, groups, some, bounds, *measured),
         lambda: idle,
     )
 
@@ -101,13 +105,26 @@ def _if_needed(rows, whole, groups, some: slice, bounds, known: Nearest) -> Near
 def _closest(cell: Workcell, q: Array, *, parts: str) -> Nearest:
     """Exact nearest pairs of a batch; leaves `[1 or b, ...]`."""
     q = jnp.broadcast_to(q, (batch_size((cell, q)), q.shape[1]))
-    table = functools.partial(_kernel, parts=parts, every=True)
+    table = functools.partial(_kernel, parts=parts, measured=None)
     if q.shape[0] <= _TABLE:
         return table(cell, q)
-    found = in_chunks(functools.partial(_kernel, parts=parts, every=False), cell, q)
+    found = in_chunks(functools.partial(_kernel, parts=parts, measured=_MEASURED), cell, q)
     return redo(table, (cell, q), found, ~found.certain, _TABLE)
 
 
+def _near(cell: Workcell, q: Array, enough: Array) -> Array:
+    """Clearances of a batch, `enough` where they are larger."""
+    q = jnp.broadcast_to(q, (batch_size((cell, q, enough)), q.shape[1]))
+    table = functools.partial(_kernel, parts="all", measured=None)
+    if q.shape[0] <= _TABLE:
+        return jnp.minimum(table(cell, q).distance, enough)
+    some = functools.partial(_kernel, parts="all", measured=_MEASURED_NEAR)
+    found = in_chunks(some, cell, q)
+    pending = found.rest < jnp.minimum(found.distance, enough)
+    return jnp.minimum(redo(table, (cell, q), found, pending, _REDO).distance, enough)
+
+
+_NEAR = batched(_near)
 _CLOSEST = {
     parts: batched(functools.partial(_closest, parts=parts)) for parts in ("all", "world", "own")
 }
@@ -130,17 +147,21 @@ def pair_distance(
     chain = jax.tree.map(lambda a: a[None], cell.chain)
     place, rotation = (a[..., 0] for a in link_frames(chain, q[None]))
     shapes, links = local_shapes(cell), jnp.array(row_links(cell))
-    world, cover = world_shapes(cell), jnp.array(cell.pairs.cover + (0,))
-    moving = _block(shapes, place[:, links[row]], rotation[:, :, links[row]], row)
-    other = cover[jnp.clip(column - world.count, 0, cover.size - 1)]
-    own = _block(shapes, place[:, links[other]], rotation[:, :, links[other]], other)
-    if world.count == 0:
-        return distance.swept_blocks(moving, own)
-    fixed = _block(world, jnp.zeros(3), jnp.eye(3), jnp.clip(column, 0, world.count - 1))
-    inside = column < world.count
-    return distance.swept_blocks(
-        moving, jax.tree.map(lambda a, b: jnp.where(inside, a, b), fixed, own)
-    )
+    cover = jnp.array(cell.pairs.cover + (0,))
+
+    def on_robot(index):
+        return _block(shapes, place[:, links[index]], rotation[:, :, links[index]], index)
+
+    found = on_robot(cover[jnp.clip(column - world_count(cell), 0, cover.size - 1)])
+    first = 0
+    for fixed in (cell.fixtures, cell.scene.objects):
+        if fixed.count:
+            here = (column >= first) & (column < first + fixed.count)
+            at = jnp.clip(column - first, 0, fixed.count - 1)
+            block = _block(fixed, jnp.zeros(3), jnp.eye(3), at)
+            found = jax.tree.map(lambda a, b, here=here: jnp.where(here, a, b), block, found)
+        first += fixed.count
+    return distance.swept_blocks(on_robot(row), found)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -154,7 +175,7 @@ def _slope(parts, primals, tangents):
     found = _CLOSEST[parts](*primals)
     moving = functools.partial(pair_distance, row=found.row, column=found.column)
     if parts == "own":
-        world = world_shapes(primals[0]).count
+        world = world_count(primals[0])
         moving = functools.partial(pair_distance, row=found.row, column=found.column + world)
     _, slope = jax.jvp(moving, primals, tangents)
     return found.distance, jnp.where(found.distance < FAR / 2, slope, 0.0)
@@ -182,7 +203,16 @@ def clearance(cell: Workcell, q: Float[Array, "n"]) -> Float[Array, ""]:
 def closest(cell: Workcell, q: Float[Array, "n"]) -> tuple[Float[Array, ""], Bool[Array, ""]]:
     """Clearance [m], and whether what is nearest is the robot itself."""
     found = _CLOSEST["all"](cell, q)
-    return found.distance, found.column >= world_shapes(cell).count
+    return found.distance, found.column >= world_count(cell)
+
+
+@checks(q=configuration)
+@jax.jit
+def clearance_up_to(
+    cell: Workcell, q: Float[Array, "n"], enough: float | Array
+) -> Float[Array, ""]:
+    """The smaller of `clearance` and `enough` [m]: exact, and cheaper the less is enough."""
+    return _NEAR(cell, q, jnp.asarray(enough, q.dtype))
 
 
 @functools.partial(jax.jit, static_argnames=("samples", "check"))

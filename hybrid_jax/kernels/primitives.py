@@ -75,6 +75,11 @@ def world_shapes(cell: Workcell) -> Shapes:
     return join(cell.fixtures, cell.scene.objects)
 
 
+def world_count(cell: Workcell) -> int:
+    """How many fixtures and objects there are."""
+    return cell.fixtures.count + cell.scene.objects.count
+
+
 def local_shapes(cell: Workcell) -> Shapes:
     """Links, fingers and payload, each in the frame that carries it."""
     shapes = cell.robot.shapes
@@ -105,9 +110,8 @@ def _reach(rotation, half) -> list:
     return [sum(jnp.abs(rotation[i][k]) * half[k] for k in range(3)) for i in range(3)]
 
 
-def world_blocks(cell: Workcell) -> Blocks:
-    """Fixtures and objects; leaves of the cell carry a leading axis of 1 or b."""
-    shapes = world_shapes(cell)
+def world_blocks(shapes: Shapes) -> Blocks:
+    """Fixtures or objects; leaves carry a leading axis of 1 or b."""
     centre, rotation, half = _local(shapes)
     extent = co.stack(_reach(rotation, half))
     return Blocks(centre, co.stack(rotation), half, extent, _radius(shapes).T)

@@ -68,8 +68,7 @@ def contact_pairs(model, robot, slots, fixtures, objects, links, last_link) -> C
     rows = [robot[i] if i < len(robot) else None for i in order]
     boxes = [i - len(robot) >= slots[0] if p is None else not p.slim
              for i, p in zip(order, rows, strict=True)]  # fmt: skip
-    order = joined_order((slim(fixtures), slim(objects)), (len(fixtures), len(objects)))
-    columns = [(fixtures + objects)[i] for i in order]
+    columns = fixtures + objects
     world = [[p is None or may_collide(model, p.geom, c.geom) for c in columns] for p in rows]
     table = _own_table(model, rows, links, last_link)
     cover = _cover(table, boxes)
