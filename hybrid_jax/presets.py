@@ -35,7 +35,7 @@ class Preset:
 
 
 DEFAULT = Preset(
-    joint=JointAgentConfig(training=PpoConfig(steps=1_300_000)),
+    joint=JointAgentConfig(training=PpoConfig(steps=2_000_000)),
 )
 """Ends in a few minutes on two cores."""
 
@@ -85,7 +85,7 @@ SMOKE = Preset(
     dqn=DqnConfig(rounds=24, updates=4),
     joint=replace(
         JointAgentConfig(),
-        training=PpoConfig(steps=8_192, envs=64, unroll=32, minibatch=512, hidden=(32, 32)),
+        training=PpoConfig(steps=16_384, envs=64, unroll=32, minibatch=512, hidden=(32, 32)),
         rollouts=8,
         retries=1,
     ),

@@ -11,7 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from hybrid_jax import artifacts, pictures
-from hybrid_jax.agents import controllers, dqn, joint, ppo, switching
+from hybrid_jax.agents import controllers, dqn, joint, ppo, switching, training
+from hybrid_jax.errors import TrainingError
 from hybrid_jax.feasibility import building
 from hybrid_jax.feasibility.judging import Reason
 from hybrid_jax.planner import combining, harvest
@@ -21,6 +22,7 @@ from hybrid_jax.planner.pipeline import plan_motion
 from hybrid_jax.progress import Progress
 from hybrid_jax.runfolder import Run
 from hybrid_jax.simulation.execution import execute, start_data
+from hybrid_jax.simulation.reach import ReachWorld
 from hybrid_jax.skills.costs import SegmentCosts, pad_task, segment_costs
 from hybrid_jax.skills.segmentation import optimal_costs
 from hybrid_jax.skills.task import handling_task, random_task, require_handling, sample_scene
@@ -129,30 +131,33 @@ def training_segments(run: Run, quiet: bool) -> tuple[harvest.Segments, np.ndarr
 
 
 def _train_ppo(
-    run: Run, stage: str, env, net, config: ppo.PpoConfig, quiet: bool, every: int = 20
-) -> ppo.PpoState:
+    run: Run, stage: str, world, net, config: ppo.PpoConfig, quiet: bool, every: int = 20
+) -> training.Training:
     """Train with progress, metrics and checkpoints; goes on from a checkpoint if there is one."""
     checkpoint = run.path(f"{stage}_checkpoint.npz")
-    latest, success = ppo.initialize(env, net, config), 0.0
+    latest, success = training.Programs(world, net, config).start((config.seed,)), 0.0
     if checkpoint.is_file():
         _, saved = run.load(checkpoint.name, "checkpoint")
         latest = jax.tree.map(jnp.asarray, artifacts.restore(latest, saved))
     progress = Progress(stage, "steps", quiet)
 
     def keep():
-        run.save(checkpoint.name, "checkpoint", latest, iteration=int(latest.iteration))
+        run.save(checkpoint.name, "checkpoint", latest, iteration=int(latest.learner.iteration[0]))
 
     def report(steps, state, metrics):
         nonlocal latest, success
+        metrics = {k: float(v[0]) for k, v in metrics.items()}
+        if not metrics["episodes"]:  # nothing ended: there is no success rate to speak of
+            del metrics["success"], metrics["return"]
         latest, success = state, metrics.get("success", success)
         run.log(stage, {"step": steps, **{k: round(v, 5) for k, v in metrics.items()}})
-        progress(steps, config.iterations * config.envs * config.unroll, f"success {success:.2f}")
-        if int(state.iteration) % every == 0:
+        progress(steps, config.iterations * config.steps_per_iteration, f"success {success:.2f}")
+        if int(state.learner.iteration[0]) % every == 0:
             keep()
 
     try:
-        state = ppo.train(env, net, config, state=latest, report=report)
-    except KeyboardInterrupt:
+        state = training.train(world, net, config, state=latest, report=report)
+    except (KeyboardInterrupt, TrainingError):
         keep()
         raise
     checkpoint.unlink(missing_ok=True)
@@ -165,9 +170,9 @@ def run_drl(run: Run, quiet: bool) -> dict:
     segments, paths = training_segments(run, quiet)
     net = joint.make_net(run.cell, config)
     state = _train_ppo(
-        run, "drl", joint.make_env(run.cell, segments, paths, config), net, config.training, quiet
+        run, "drl", ReachWorld(run.cell, segments, paths, config.reach), net, config.training, quiet
     )
-    policy = ppo.Policy(state.policy, state.normalizer)
+    policy = state.policy()
     test = collect_segments(run, "collect", HELD_OUT_TASKS, run.preset.held_out, quiet)
     single, best = joint.success_rates(
         run.cell, net, policy, config, test, jax.random.key(run.seed)
@@ -213,9 +218,9 @@ def run_switch(run: Run, quiet: bool) -> dict:
     problems = combined_problems(run, quiet)
     net = switching.make_net(run.cell.home.size, config)
     state = _train_ppo(
-        run, "switch", switching.SwitchEnv(problems, config), net, config.training, quiet
+        run, "switch", switching.SwitchWorld(problems, config), net, config.training, quiet
     )
-    policy = ppo.Policy(state.policy, state.normalizer)
+    policy = state.policy()
     _, reward = jax.jit(functools.partial(switching.choose, net, config=config))(policy, problems)
     count = problems.available.shape[0]
     best = np.array(

@@ -5,92 +5,107 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from brax.envs.base import Env, State
+from brax.training.networks import FeedForwardNetwork
 
-from hybrid_jax.agents import controllers, dqn, ppo, switching
+from hybrid_jax.agents import controllers, dqn, networks, ppo, switching, training
+from hybrid_jax.agents.worlds import Move
 from hybrid_jax.errors import TrainingError
 from hybrid_jax.skills.costs import MAX_KEY_POSES, SegmentCosts
 from hybrid_jax.skills.library import MAX_SKILLS
 from hybrid_jax.skills.segmentation import optimal_costs
 
 
-class Track(Env):
-    """Walk to the origin of a line: continuous or left/right. Solved when |x| < 0.1."""
+class Track:
+    """Walk along a line to the origin: every part of PPO is needed to solve it."""
+
+    observation_size = 1
 
     def __init__(self, discrete=False, broken=False):
         self.discrete, self.broken = discrete, broken
+        self.action_size = 2 if discrete else 1
 
-    observation_size = 1
-    backend = "toy"
+    def begin(self, key):
+        x = jax.random.uniform(key, (), jnp.float32, -1.0, 1.0)
+        return {"x": x, "count": jnp.float32(0)}
 
-    @property
-    def action_size(self):
-        return 2 if self.discrete else 1
+    def observe(self, state):
+        return state["x"][None]
 
-    def _state(self, x, count, reward, done, reached, truncated):
-        obs = jnp.stack([x])
-        return State(
-            {"x": x, "count": count},
-            obs,
-            jnp.float32(reward),
-            jnp.float32(done),
-            {"success": jnp.float32(reached)},
-            {"truncation": jnp.float32(truncated)},
-        )
-
-    def reset(self, rng):
-        x = jax.random.uniform(rng, (), jnp.float32, -1.0, 1.0)
-        return self._state(x, jnp.float32(0), 0.0, 0.0, 0.0, 0.0)
+    def overdue(self, state):
+        return state["count"] >= 20
 
     def step(self, state, action):
-        x, count = state.pipeline_state["x"], state.pipeline_state["count"] + 1
+        x = state["x"]
         move = (2.0 * action - 1.0) if self.discrete else jnp.clip(action[0], -1, 1)
         x_new = x + 0.15 * move
         reached = jnp.abs(x_new) < 0.1
         reward = jnp.abs(x) - jnp.abs(x_new) - 0.02 + reached
         reward = jnp.where(self.broken, jnp.nan, reward)
-        truncated = (count >= 20) & ~reached
-        return self._state(x_new, count, reward, reached | truncated, reached, truncated)
+        return Move({"x": x_new, "count": state["count"] + 1}, reward, reached, reached, {})
 
 
 SMALL = ppo.PpoConfig(steps=40_000, envs=32, unroll=16, minibatch=128, hidden=(32,))
 
 
-@pytest.mark.parametrize("discrete", [False, True])
-def test_ppo_solves_a_line(discrete):
-    env = Track(discrete)
-    net = ppo.make_networks(1, env.action_size, SMALL.hidden, discrete)
-    seen = []
-    ppo.train(env, net, SMALL, report=lambda steps, state, m: seen.append(m.get("success", 0.0)))
-    assert np.mean(seen[-5:]) > 0.97 > np.mean(seen[:3]), seen
+def small_training(world, config=SMALL, **options):
+    net = networks.make_networks(1, world.action_size, config.hidden, world.discrete)
+    return training.train(world, net, config, **options)
 
 
-def test_advantages_by_hand():
-    """Two steps, then the end of an episode: reached (no value beyond) or cut (value beyond)."""
-    reward, value = jnp.array([[1.0], [2.0]]), jnp.array([[0.5], [0.25]])
-    later, done = jnp.array([[0.25], [4.0]]), jnp.array([[0.0], [1.0]])
-    for terminated, last in ((1.0, 2.0 - 0.25), (0.0, 2.0 + 0.9 * 4.0 - 0.25)):
-        found = ppo.advantages(reward, value, later, done * terminated, done, 0.9, 0.8)
-        first = 1.0 + 0.9 * 0.25 - 0.5 + 0.9 * 0.8 * last
-        np.testing.assert_allclose(found[:, 0], [first, last], rtol=1e-6)
-
-
-def test_ppo_resumes_bit_for_bit():
-    env = Track()
-    net = ppo.make_networks(1, 1, SMALL.hidden, False)
-    short = ppo.PpoConfig(**{**SMALL.__dict__, "steps": 4 * 512})
-    kept = []
-    whole = ppo.train(env, net, short, report=lambda s, state, m: kept.append(state))
-    again = ppo.train(env, net, short, state=kept[1])
-    for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(again), strict=True):
+def assert_same(first, second):
+    """Every array of two pytrees is equal to the last bit."""
+    for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True):
         np.testing.assert_array_equal(a, b)
 
 
+@pytest.mark.parametrize("discrete", [False, True])
+def test_ppo_solves_a_line(discrete):
+    seen = []
+    small_training(Track(discrete), report=lambda steps, state, m: seen.append(m["success"][0]))
+    assert np.mean(seen[-5:]) > 0.97 > np.mean(seen[:3]), seen
+
+
+def test_several_seeds_train_side_by_side():
+    """Each as it would alone: networks, copies and random numbers are its own."""
+    config = ppo.PpoConfig(**{**SMALL.__dict__, "steps": 4 * 512})
+    both = small_training(Track(), config, seeds=(3, 5)).learner.params
+    alone = small_training(Track(), config, seeds=(5,)).learner.params
+    for a, b in zip(jax.tree.leaves(both), jax.tree.leaves(alone), strict=True):
+        np.testing.assert_allclose(a[1], b[0], atol=1e-4)
+        assert a.ndim < 3 or np.abs(a[0] - a[1]).max() > 1e-3
+
+
+def test_advantages_by_hand():
+    """Two steps, then the goal (no value beyond) or the end of the rollout (a value beyond)."""
+    value = FeedForwardNetwork(None, lambda normalizer, params, obs: obs[..., 0])
+    net = networks.ActorCritic(None, value, None)
+    config = ppo.PpoConfig(discount=0.9, gae_lambda=0.8)
+    learner = ppo.Learner({"value": None}, None, None, None, None)
+    for terminated, beyond in ((1.0, 0.0), (0.0, 4.0)):
+        data = {
+            "obs": jnp.array([[[0.5]], [[0.25]]]),
+            "reward": jnp.array([[1.0], [2.0]]),
+            "terminated": jnp.array([[0.0], [terminated]]),
+            "last_obs": jnp.array([[4.0]]),
+            "action": jnp.zeros((2, 1)),
+            "log_prob": jnp.zeros((2, 1)),
+        }
+        found = ppo.judge(net, config, learner, data)
+        last = 2.0 + 0.9 * beyond - 0.25
+        first = 1.0 + 0.9 * 0.25 - 0.5 + 0.9 * 0.8 * last
+        np.testing.assert_allclose(found["target"], [0.5 + first, 0.25 + last], rtol=1e-6)
+
+
+def test_ppo_resumes_bit_for_bit():
+    short = ppo.PpoConfig(**{**SMALL.__dict__, "steps": 4 * 512})
+    kept = []
+    whole = small_training(Track(), short, report=lambda s, state, m: kept.append(state))
+    assert_same(whole, small_training(Track(), short, state=kept[1]))
+
+
 def test_ppo_stops_at_nan_and_says_where():
-    env = Track(broken=True)
-    net = ppo.make_networks(1, 1, SMALL.hidden, False)
     with pytest.raises(TrainingError, match=r"step 512.*value_loss"):
-        ppo.train(env, net, SMALL)
+        small_training(Track(broken=True))
 
 
 def test_ppo_configuration_is_checked():
@@ -246,9 +261,8 @@ def test_switching_agent_comes_close_to_viterbi():
     )
     problems = jax.tree.map(lambda *a: jnp.stack(a), *[toy_switching(s) for s in range(8)])
     net = switching.make_net(3, config)
-    state = ppo.train(switching.SwitchEnv(problems, config), net, config.training)
-    policy = ppo.Policy(state.policy, state.normalizer)
-    choice, reward = switching.choose(net, policy, problems, config)
+    state = training.train(switching.SwitchWorld(problems, config), net, config.training)
+    choice, reward = switching.choose(net, state.policy(), problems, config)
     best = [switching.optimal_switching(toy_switching(s), config)[1] for s in range(8)]
     assert np.mean(reward) > 0.95 * np.mean(best)
     assert total_reward(toy_switching(0), np.asarray(choice[0]), config) == pytest.approx(

@@ -103,11 +103,11 @@ def test_errors_are_one_sentence_on_the_terminal():
 def test_interrupt_keeps_a_checkpoint_that_resume_takes(tmp_path, monkeypatch, capsys):
     """Ctrl-C in the middle of the joint agent's training."""
     from hybrid_jax import stages
-    from hybrid_jax.agents import ppo
+    from hybrid_jax.agents import networks, training
 
     folder = tmp_path / "run"
     run = runfolder.create_run("gen3_handling", "smoke", 0, folder)
-    real, seen = ppo.train, []
+    real, seen = training.train, []
 
     def interrupted(*args, report, **kwargs):
         def stop(steps, state, metrics):
@@ -118,15 +118,15 @@ def test_interrupt_keeps_a_checkpoint_that_resume_takes(tmp_path, monkeypatch, c
 
         return real(*args, report=stop, **kwargs)
 
-    monkeypatch.setattr(ppo, "train", interrupted)
+    monkeypatch.setattr(training, "train", interrupted)
     toy = pytest.importorskip("test_agents")
-    net = ppo.make_networks(1, 1, toy.SMALL.hidden, False)
+    net = networks.make_networks(1, 1, toy.SMALL.hidden, False)
     with pytest.raises(KeyboardInterrupt):
         stages._train_ppo(run, "drl", toy.Track(), net, toy.SMALL, True)
     assert (folder / "drl_checkpoint.npz").is_file()
-    monkeypatch.setattr(ppo, "train", real)
+    monkeypatch.setattr(training, "train", real)
     state = stages._train_ppo(run, "drl", toy.Track(), net, toy.SMALL, True)
-    assert int(state.iteration) == toy.SMALL.iterations
+    assert int(state.learner.iteration[0]) == toy.SMALL.iterations
     assert not (folder / "drl_checkpoint.npz").exists()
     steps = [row["step"] for row in run.metrics("drl")]
     assert steps == sorted(set(steps)) and len(steps) == toy.SMALL.iterations

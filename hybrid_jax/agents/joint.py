@@ -10,9 +10,10 @@ import numpy as np
 from jax import Array
 
 from hybrid_jax import rrt
-from hybrid_jax.agents import ppo
+from hybrid_jax.agents import networks, ppo
+from hybrid_jax.kernels.edges import edge_is_free
 from hybrid_jax.planner.harvest import Segments
-from hybrid_jax.simulation.reach import ReachConfig, ReachEnv, resample_path
+from hybrid_jax.simulation.reach import ReachConfig, ReachWorld, resample_path
 from hybrid_jax.types import Scene, Workcell
 
 Bridger = Callable[[Scene, np.ndarray, np.ndarray, Array], np.ndarray | None]
@@ -20,6 +21,8 @@ Bridger = Callable[[Scene, np.ndarray, np.ndarray, Array], np.ndarray | None]
 
 PATH_POINTS = 32
 """Way points kept of an expert's path."""
+WIDEST = 1.5
+"""Spread of the boldest rollout; the first follows the policy's mode, those between grow bolder."""
 
 
 @dataclass(frozen=True)
@@ -29,8 +32,8 @@ class JointAgentConfig:
     training: ppo.PpoConfig = ppo.PpoConfig()
     reach: ReachConfig = ReachConfig()
     expert: rrt.RrtConfig = rrt.RrtConfig()
-    rollouts: int = 48
-    """Stochastic rollouts of one planning call."""
+    rollouts: int = 64
+    """Rollouts of one planning call."""
     retries: int = 2
     """Planning calls before the agent gives up."""
 
@@ -40,7 +43,7 @@ def expert_paths(
 ) -> tuple[Segments, np.ndarray]:
     """The segments that RRT-Connect solves, and its paths `[segment, point, joint]`.
 
-    Episodes may start anywhere on them: the agent learns the way out of an enclosure backwards.
+    Their lengths are the agent's distance to go, and episodes may start anywhere on them.
     """
     paths = rrt.plan_paths(
         cell, segments.scene, segments.start, segments.goal, config.expert, key=key
@@ -52,87 +55,101 @@ def expert_paths(
     return kept, np.stack([resample_path(paths[i], PATH_POINTS) for i in solved]).astype(np.float32)
 
 
-def make_env(
-    cell: Workcell, segments: Segments, paths: np.ndarray, config: JointAgentConfig
-) -> ReachEnv:
-    """The world that the agent trains in."""
-    return ReachEnv(cell, segments, jnp.asarray(paths), config.reach)
-
-
-def make_net(cell: Workcell, config: JointAgentConfig) -> ppo.ActorCritic:
+def make_net(cell: Workcell, config: JointAgentConfig) -> networks.ActorCritic:
     """Networks of the agent for a robot."""
-    joints = cell.home.size
-    return ppo.make_networks(
-        ReachEnv.observation_length(joints), joints, config.training.hidden, discrete=False
+    return networks.make_networks(
+        ReachWorld.observation_length(cell), cell.home.size, config.training.hidden, discrete=False
     )
 
 
 def rollouts(
-    cell: Workcell,
-    net: ppo.ActorCritic,
-    policy: ppo.Policy,
-    config: ReachConfig,
-    segments: Segments,
+    world: ReachWorld,
+    net: networks.ActorCritic,
+    policy: networks.Policy,
     index: Array,
+    spread: Array,
     keys: Array,
-):
-    """Run one stochastic rollout for each entry of `index`.
+) -> tuple[Array, Array]:
+    """Run one rollout for each entry of `index`.
+
+    Args:
+        world: of the segments.
+        net, policy: the trained agent.
+        index: `[rollout]` segment of each.
+        spread: `[rollout]` 0 for the policy's mode, 1 for its samples, see `networks.act`.
+        keys: `[rollout]`, consumed.
 
     Returns:
-        Way points `[rollout, horizon + 1, joint]` that stay where an episode ended, and whether
-        each reached its goal.
+        Way points `[rollout, horizon + 2, joint]` that stay where an episode ended and close with
+        the goal, and whether each reached it.
     """
-    env = ReachEnv(cell, segments, segments.start[:, None], config)
+    segments = world.segments
 
-    def run(segment, key):
-        state = env.begin(segment, segments.start[segment])
-
+    def run(segment, spread, key):
         def step(carry, key):
             state, reached = carry
-            after = env.step(state, ppo.act(net, policy, state.obs, key))
-            state = jax.tree.map(lambda a, b: jnp.where(reached, a, b), state, after)
-            return (state, reached | (after.metrics["success"] > 0)), state.pipeline_state.q
+            action = networks.act(net, policy, world.observe(state), key, spread)
+            move = world.step(state, action)
+            state = jax.tree.map(lambda a, b: jnp.where(reached, a, b), state, move.state)
+            return (state, reached | move.success), state.q
 
+        state = world.start(segment, segments.start[segment])
         (_, reached), q = jax.lax.scan(
-            step, (state, jnp.array(False)), jax.random.split(key, config.horizon)
+            step, (state, jnp.array(False)), jax.random.split(key, world.config.horizon)
         )
-        return jnp.concatenate([segments.start[segment][None], q]), reached
+        ends = segments.start[segment][None], segments.goal[segment][None]
+        return jnp.concatenate([ends[0], q, ends[1]]), reached
 
-    return jax.vmap(run)(index, keys)
+    return jax.vmap(run)(index, spread, keys)
+
+
+def spreads(count: int) -> Array:
+    """Spread of each of `count` rollouts of a segment, from the mode to the boldest."""
+    return jnp.linspace(0.0, WIDEST, count)
 
 
 def success_rates(
     cell: Workcell,
-    net: ppo.ActorCritic,
-    policy: ppo.Policy,
+    net: networks.ActorCritic,
+    policy: networks.Policy,
     config: JointAgentConfig,
     segments: Segments,
     key: Array,
 ) -> tuple[float, float]:
-    """Share of single rollouts, and of segments by the best of 16, that reach the goal."""
+    """Share of segments that reach the goal: by the policy's mode alone, and by the best of 16."""
     count = segments.start.shape[0]
-    index = jnp.tile(jnp.arange(count), 16)
-    run = jax.jit(
-        lambda policy, segments, keys: rollouts(
-            cell, net, policy, config.reach, segments, index, keys
-        )[1]
-    )
+    index, spread = jnp.tile(jnp.arange(count), 16), jnp.repeat(spreads(16), count)
+
+    @jax.jit
+    def run(policy, segments, keys):
+        world = ReachWorld(cell, segments, None, config.reach)
+        return rollouts(world, net, policy, index, spread, keys)[1]
+
     reached = np.asarray(run(policy, segments, jax.random.split(key, len(index))))
     table = reached.reshape(16, count)
-    return float(table.mean()), float(table.any(axis=0).mean())
+    return float(table[0].mean()), float(table.any(axis=0).mean())
 
 
 def make_bridger(
-    cell: Workcell, net: ppo.ActorCritic, policy: ppo.Policy, config: JointAgentConfig
+    cell: Workcell, net: networks.ActorCritic, policy: networks.Policy, config: JointAgentConfig
 ) -> Bridger:
-    """The trained agent as a function that the planner calls."""
+    """The trained agent as a function that the planner calls.
+
+    Rollouts are tried from the shortest on; the first whose every edge is proven free is returned.
+    """
 
     @jax.jit
     def run(policy, segments, key):
+        world = ReachWorld(cell, segments, None, config.reach)
         index = jnp.zeros(config.rollouts, int)
-        return rollouts(
-            cell, net, policy, config.reach, segments, index, jax.random.split(key, config.rollouts)
-        )
+        keys = jax.random.split(key, config.rollouts)
+        return rollouts(world, net, policy, index, spreads(config.rollouts), keys)
+
+    @jax.jit
+    def proven(scene, path):
+        inside = cell.replace(scene=scene)
+        free, _ = jax.vmap(lambda a, b: edge_is_free(inside, a, b))(path[:-1], path[1:])
+        return jnp.all(free)
 
     def bridge(scene, start, goal, key):
         one = Segments(
@@ -142,11 +159,11 @@ def make_bridger(
         )
         for attempt in range(config.retries):
             q, reached = jax.device_get(run(policy, one, jax.random.fold_in(key, attempt)))
-            if reached.any():
-                length = np.abs(np.diff(q, axis=1)).sum(axis=(1, 2))
-                best = q[np.argmin(np.where(reached, length, np.inf))]
-                moved = np.abs(np.diff(best, axis=0)).max(axis=1) > 1e-6
-                return np.concatenate([best[:1], best[1:][moved], np.asarray(goal)[None]])
+            length = np.where(reached, np.abs(np.diff(q, axis=1)).sum(axis=(1, 2)), np.inf)
+            for best in np.argsort(length)[: int(reached.sum())]:
+                if proven(scene, q[best]):
+                    moved = np.abs(np.diff(q[best], axis=0)).max(axis=1) > 1e-6
+                    return np.concatenate([q[best][:1], q[best][1:][moved]])
         return None
 
     return bridge

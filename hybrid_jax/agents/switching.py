@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 import numpy as np
-from brax.envs.base import Env, State
 from jax import Array
 from jaxtyping import Float, PRNGKeyArray
 
-from hybrid_jax.agents import ppo
+from hybrid_jax.agents import networks, ppo
+from hybrid_jax.agents.worlds import Move
 from hybrid_jax.types import pytree
 
 STEPS = 200
@@ -88,8 +88,11 @@ def step_reward(before: Array, after: Array, config: SwitchConfig) -> Array:
     return -config.jump * jnp.maximum(0.0, size - config.allowed) / config.allowed
 
 
-class SwitchEnv(Env):
-    """Brax's environment protocol; one copy, the trainer vmaps."""
+class SwitchWorld:
+    """A `World` (see `agents.worlds`) of combined trajectories."""
+
+    discrete = True
+    action_size = 2
 
     def __init__(self, problems: Combined, config: SwitchConfig = SwitchConfig()):
         """Args:
@@ -97,29 +100,19 @@ class SwitchEnv(Env):
         config: reward.
         """
         self.problems, self.config = problems, config
-
-    @property
-    def action_size(self) -> int:
-        return 2
-
-    @property
-    def observation_size(self) -> int:
-        return self.observation_length(self.problems.q.shape[-1])
+        self.observation_size = self.observation_length(problems.q.shape[-1])
 
     @staticmethod
     def observation_length(joints: int) -> int:
         """Length of an observation of an arm with `joints` joints."""
         return joints * (1 + 2 * (1 + AHEAD)) + 4 + 1 + 2
 
-    @property
-    def backend(self) -> str:
-        return "arrays"
-
     def _problem(self, index: Array) -> Combined:
         return jax.tree.map(lambda a: a[index], self.problems)
 
-    def observe(self, data: Combined, state: SwitchState) -> Float[Array, "obs"]:
+    def observe(self, state: SwitchState) -> Float[Array, "obs"]:
         """Both motions from here on relative to the robot, their worth, and the last choice."""
+        data = self._problem(state.problem)
         t = jnp.minimum(state.step, STEPS - 1)
         seen = jnp.minimum(t + jnp.arange(AHEAD + 1), STEPS - 1)
         return jnp.concatenate(
@@ -133,40 +126,33 @@ class SwitchEnv(Env):
             ]
         )
 
-    def begin(self, index: Array) -> State:
-        """Start a given problem; the robot stands at the beginning of the skill's motion."""
-        data = self._problem(index)
-        state = SwitchState(index, jnp.zeros((), int), data.q[0, 0], jnp.zeros((), int))
-        zero = jnp.float32(0.0)
-        return State(
-            state, self.observe(data, state), zero, zero, {"success": zero}, {"truncation": zero}
-        )
+    def start(self, index: Array) -> SwitchState:
+        """A given problem; the robot stands at the beginning of the skill's motion."""
+        zero = jnp.zeros((), jnp.int32)
+        return SwitchState(index, zero, self.problems.q[index, 0, 0], zero)
 
-    def reset(self, rng: PRNGKeyArray) -> State:
-        return self.begin(jax.random.randint(rng, (), 0, self.problems.available.shape[0]))
+    def begin(self, key: PRNGKeyArray) -> SwitchState:
+        return self.start(jax.random.randint(key, (), 0, self.problems.available.shape[0]))
 
-    def step(self, state: State, action: Array) -> State:
-        world = state.pipeline_state
-        data = self._problem(world.problem)
+    def overdue(self, state: SwitchState) -> Array:
+        """Never: an episode ends with the trajectory."""
+        return jnp.zeros_like(state.step, bool)
+
+    def step(self, state: SwitchState, action: Array) -> Move:
+        data = self._problem(state.problem)
         # the joint agent can only be chosen where it has a motion
-        choice = jnp.where(data.available[world.step] > 0, action, 0)
-        q = data.q[choice, world.step]
+        choice = jnp.where(data.available[state.step] > 0, action, 0).astype(jnp.int32)
+        q = data.q[choice, state.step]
         reward = (
-            point_reward(data, self.config)[choice, world.step]
-            + step_reward(world.q, q, self.config)
-            - self.config.switch * (choice != world.choice)
+            point_reward(data, self.config)[choice, state.step]
+            + step_reward(state.q, q, self.config)
+            - self.config.switch * (choice != state.choice)
         )
-        clean = data.collision[choice, world.step] == 0
-        world = SwitchState(world.problem, world.step + 1, q, choice)
-        done = world.step >= STEPS
-        return State(
-            world,
-            self.observe(data, world),
-            self.config.scale * reward,
-            done.astype(jnp.float32),
-            {"success": (done & clean).astype(jnp.float32)},
-            {"truncation": jnp.float32(0.0)},
-        )
+        collides = data.collision[choice, state.step]
+        after = SwitchState(state.problem, state.step + 1, q, choice)
+        done = after.step >= STEPS
+        return Move(after, self.config.scale * reward, done, done & (collides == 0),
+                    {"infeasible": collides})  # fmt: skip
 
 
 def optimal_switching(data: Combined, config: SwitchConfig) -> tuple[np.ndarray, float]:
@@ -197,25 +183,25 @@ def optimal_switching(data: Combined, config: SwitchConfig) -> tuple[np.ndarray,
     return choice, float(value.max())
 
 
-def make_net(joints: int, config: SwitchConfig) -> ppo.ActorCritic:
+def make_net(joints: int, config: SwitchConfig) -> networks.ActorCritic:
     """Networks of the agent for an arm."""
-    return ppo.make_networks(
-        SwitchEnv.observation_length(joints), 2, config.training.hidden, discrete=True
+    return networks.make_networks(
+        SwitchWorld.observation_length(joints), 2, config.training.hidden, discrete=True
     )
 
 
 def choose(
-    net: ppo.ActorCritic, policy: ppo.Policy, problems: Combined, config: SwitchConfig
+    net: networks.ActorCritic, policy: networks.Policy, problems: Combined, config: SwitchConfig
 ) -> tuple[Array, Array]:
     """Choices `[problem, STEPS]` of the trained agent and their total rewards `[problem]`."""
-    env = SwitchEnv(problems, config)
+    world = SwitchWorld(problems, config)
 
     def run(index):
         def step(state, _):
-            state = env.step(state, ppo.act(net, policy, state.obs, None))
-            return state, (state.pipeline_state.choice, state.reward)
+            move = world.step(state, networks.act(net, policy, world.observe(state), None))
+            return move.state, (move.state.choice, move.reward)
 
-        _, (choice, reward) = jax.lax.scan(step, env.begin(index), length=STEPS)
+        _, (choice, reward) = jax.lax.scan(step, world.start(index), length=STEPS)
         return choice, jnp.sum(reward) / config.scale
 
     return jax.vmap(run)(jnp.arange(problems.available.shape[0]))

@@ -9,13 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from hybrid_jax import artifacts
-from hybrid_jax.agents import dqn, joint, ppo, switching
+from hybrid_jax.agents import dqn, joint, networks, switching
 from hybrid_jax.errors import RunFolderError
 from hybrid_jax.feasibility.building import load_map
 from hybrid_jax.planner.lfd import SkillChooser, optimal_chooser
 from hybrid_jax.planner.pipeline import Planner, Switcher
 from hybrid_jax.runfolder import Run
-from hybrid_jax.simulation.reach import ReachEnv
+from hybrid_jax.simulation.reach import ReachWorld
 from hybrid_jax.skills.demonstration import load_demonstrations
 from hybrid_jax.skills.library import SkillLibrary, build_library
 from hybrid_jax.workcell.assets import demonstrations_folder
@@ -33,11 +33,11 @@ def read_scale(run: Run) -> float:
 
 
 def load_policy(
-    run: Run, name: str, kind: str, net: ppo.ActorCritic, observations: int
-) -> ppo.Policy:
+    run: Run, name: str, kind: str, net: networks.ActorCritic, observations: int
+) -> networks.Policy:
     """A trained policy of the run."""
     _, state = run.load(name, kind)
-    template = ppo.blank_policy(net, observations)
+    template = networks.blank_policy(net, observations)
     return jax.tree.map(jnp.asarray, artifacts.restore(template, state))
 
 
@@ -51,7 +51,7 @@ def learned_switcher(run: Run) -> Switcher:
     config, joints = run.preset.switch, run.cell.home.size
     net = switching.make_net(joints, config)
     policy = load_policy(
-        run, "switch.npz", "switching agent", net, switching.SwitchEnv.observation_length(joints)
+        run, "switch.npz", "switching agent", net, switching.SwitchWorld.observation_length(joints)
     )
     choose = jax.jit(functools.partial(switching.choose, net, config=config))
 
@@ -86,9 +86,7 @@ def load_planner(run: Run, *, switch: str = "learned") -> Planner:
             )
     preset, cell = run.preset, run.cell
     net = joint.make_net(cell, preset.joint)
-    policy = load_policy(
-        run, "drl.npz", "joint agent", net, ReachEnv.observation_length(cell.home.size)
-    )
+    policy = load_policy(run, "drl.npz", "joint agent", net, ReachWorld.observation_length(cell))
     return Planner(
         cell=cell,
         library=read_library(run.skills),

@@ -3,6 +3,11 @@
 
 Everything runs on the kernels, so thousands of copies live in one compiled program. A move that
 would bring the robot closer than the margin is not made: a rollout's way points are always free.
+
+One choice makes it learnable in a minute: the action corrects a straight step towards the goal and
+fades out beside it. So an untrained agent already solves what a straight line solves, and ends
+are exact (residual policies: Johannink et al., arXiv:1812.03201). Beside it a reward that follows
+an expert's path (`stray`) and starts along that path (`on_path`) make no difference.
 """
 
 from dataclasses import dataclass
@@ -10,14 +15,13 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 import numpy as np
-from brax.envs.base import Env, State
 from jax import Array
 from jaxtyping import Float, PRNGKeyArray
 
+from hybrid_jax.agents.worlds import Move
 from hybrid_jax.kernels import dualquat as dq
-from hybrid_jax.kernels.collision import edge_clearance
+from hybrid_jax.kernels.collision import clearance_up_to, points_between
 from hybrid_jax.kernels.kinematics import tool_pose
-from hybrid_jax.kernels.rays import RAY_COUNT, sense
 from hybrid_jax.planner.harvest import Segments
 from hybrid_jax.types import Workcell, pytree
 from hybrid_jax.workcell.mjxcollision import backend
@@ -29,22 +33,33 @@ class ReachConfig:
 
     max_delta: float = 0.08
     """Largest change of a joint in one step [rad]."""
-    tolerance: float = 0.05
-    """A goal is reached when every joint is this close [rad]."""
+    authority: float = 2.0
+    """Size of the largest correction, in units of `max_delta`: 2 overrules the straight step."""
+    fade: float = 3.0
+    """Corrections fade within this many steps of the goal."""
+    near: float = 0.01
+    """A goal is reached when the tool is this close [m], ..."""
+    turned: float = 0.035
+    """... is turned by no more than this [rad], ..."""
+    same_branch: float = 0.1
+    """... and every joint is this close [rad]."""
     margin: float = 0.004
     """Clearance that a move must keep [m]."""
     edge_samples: int = 2
     """Clearance checks along a move."""
     backend: str = "fused"
     """What checks collisions: `fused` (our kernels) or `mjx` (without the payload)."""
-    horizon: int = 100
-    """Steps until an episode is truncated."""
+    horizon: int = 96
+    """Steps after which an episode may be cut."""
     step_cost: float = 0.02
     """Cost of a step."""
     blocked_cost: float = 0.05
     """Cost of a move that was not made."""
     success_bonus: float = 2.0
     """Reward for reaching the goal."""
+    stray: float = 1.0
+    """Length that a distance from the expert's path counts, over that along it. With 1 the way
+    to go is a straight line; the larger, the closer the reward follows the path."""
     on_path: float = 0.5
     """Share of episodes that start along an expert's path instead of at its beginning."""
 
@@ -55,14 +70,16 @@ class ReachState:
 
     q: Array
     """`[joint]`."""
-    delta: Array
-    """`[joint]` last change."""
+    pose: Array
+    """`[8]` of the tool at `q`."""
     segment: Array
     """Index of the problem."""
     clearance: Array
-    """Of the last move, made or not [m]."""
+    """Of the last move, made or not, up to the margin [m]."""
     step: Array
     """Steps since the start."""
+    potential: Array
+    """Minus the distance to go [rad]."""
 
 
 def rotation_6d(quat: Float[Array, "4"]) -> Float[Array, "6"]:
@@ -71,128 +88,151 @@ def rotation_6d(quat: Float[Array, "4"]) -> Float[Array, "6"]:
     return dq.quat_matrix(quat)[:, :2].T.reshape(-1)
 
 
-class ReachEnv(Env):
-    """Brax's environment protocol; one copy, the trainer vmaps."""
+class ReachWorld:
+    """A `World` (see `agents.worlds`) of segments to be bridged."""
+
+    discrete = False
 
     def __init__(
         self,
         cell: Workcell,
         segments: Segments,
-        paths: Float[Array, "segment point n"],
+        paths: Float[Array, "segment point n"] | None = None,
         config: ReachConfig = ReachConfig(),
     ):
         """Args:
         cell: robot and fixtures.
         segments: problems to draw from.
-        paths: collision-free way points of each problem, from its start to its goal.
+        paths: collision-free way points of each problem, from its start to its goal; the straight
+            lines where None, which is enough for rollouts of a trained agent.
         config: rules.
         """
-        self.cell, self.segments, self.paths, self.config = cell, segments, paths, config
-
-    @property
-    def action_size(self) -> int:
-        return self.cell.home.size
-
-    @property
-    def observation_size(self) -> int:
-        return self.observation_length(self.cell.home.size)
+        if paths is None:
+            paths = jnp.stack([segments.start, segments.goal], axis=1)
+        self.cell, self.segments, self.config = cell, segments, config
+        self.paths = jnp.asarray(paths)
+        self.remaining = _remaining(self.paths)
+        self.goal_pose = jax.vmap(tool_pose, (None, 0))(cell, segments.goal)
+        self.action_size = cell.home.size
+        self.observation_size = self.observation_length(cell)
 
     @staticmethod
-    def observation_length(joints: int) -> int:
-        """Length of an observation of an arm with `joints` joints."""
-        return 3 * joints + 18 + RAY_COUNT + 2
+    def observation_length(cell: Workcell) -> int:
+        """Length of an observation in a cell."""
+        return 3 * cell.home.size + 18 + 2 + 4 * cell.scene.payload.count
 
-    @property
-    def backend(self) -> str:
-        return "kernels"
-
-    def _scene(self, segment: Array) -> tuple[Workcell, Array]:
+    def _scene(self, segment: Array) -> Workcell:
         scene = jax.tree.map(lambda a: a[segment], self.segments.scene)
-        return self.cell.replace(scene=scene), self.segments.goal[segment]
+        return self.cell.replace(scene=scene)
 
-    def observe(self, cell: Workcell, goal: Array, state: ReachState) -> Float[Array, "obs"]:
-        """What the agent sees; `3 n + 45` numbers of order one.
+    def observe(self, state: ReachState) -> Float[Array, "obs"]:
+        """What the agent sees, numbers of order one.
 
         No clock: an episode that the horizon cuts goes on from its last value, so time is no part
-        of the state. With a clock the value at the horizon is never a training input, is
-        extrapolated, and training diverges.
+        of the state. No rays: fixtures never move, and what is carried is seen by its size.
         """
-        low, high = cell.chain.limits.T
-        pose, goal_pose = tool_pose(cell, state.q), tool_pose(cell, goal)
-        relative = dq.mul(dq.conj(pose), goal_pose)
+        goal = self.segments.goal[state.segment]
+        relative = dq.mul(dq.conj(state.pose), self.goal_pose[state.segment])
+        payload = jax.tree.map(lambda a: a[state.segment], self.segments.scene.payload)
+        to_go = goal - state.q
         return jnp.concatenate(
             [
-                2 * (state.q - low) / (high - low) - 1,
-                state.delta / self.config.max_delta,
-                goal - state.q,
-                dq.position(pose),
-                rotation_6d(pose[:4]),
+                state.q / jnp.pi,
+                to_go,
+                jnp.clip(to_go / self.config.max_delta, -1, 1),
+                dq.position(state.pose),
+                rotation_6d(state.pose[:4]),
                 dq.position(relative),
                 rotation_6d(relative[:4]),
-                sense(cell, pose),
-                jnp.stack([jnp.clip(10 * state.clearance, -1, 1), self._loaded(cell)]),
+                jnp.clip(state.clearance / 0.05, -1, 1)[None],
+                1.0 * (state.clearance < self.config.margin)[None],
+                payload.on,
+                (10 * payload.half * payload.on[:, None]).reshape(-1),
             ]
         )
 
-    def _loaded(self, cell: Workcell) -> Float[Array, ""]:
-        """1 while an object is held."""
-        payload = cell.scene.payload
-        return jnp.max(payload.on, initial=0.0)
+    def potential(self, segment: Array, q: Array) -> Float[Array, ""]:
+        """Minus the way to an expert's path and along it to the goal [rad].
 
-    def begin(self, segment: Array, q: Array) -> State:
-        """Start a given problem from a given configuration."""
-        cell, goal = self._scene(segment)
-        state = ReachState(q, jnp.zeros_like(q), segment, jnp.float32(0.05), jnp.zeros((), int))
-        zero = jnp.float32(0.0)
-        return State(
-            state,
-            self.observe(cell, goal, state),
-            zero,
-            zero,
-            {"success": zero},
-            {"truncation": zero},
+        Its differences shape the reward (Ng, Harada, Russell 1999).
+        """
+        away = jnp.linalg.norm(self.paths[segment] - q, axis=-1)
+        return -jnp.min(self.config.stray * away + self.remaining[segment])
+
+    def start(self, segment: Array, q: Array) -> ReachState:
+        """A given problem from a given configuration."""
+        zero = jnp.zeros((), jnp.int32)
+        margin = jnp.float32(self.config.margin)
+        pose = tool_pose(self.cell, q)
+        return ReachState(q, pose, segment, margin, zero, self.potential(segment, q))
+
+    def begin(self, key: PRNGKeyArray) -> ReachState:
+        """A random problem, from its start or from somewhere on its expert's path."""
+        which, where, kind = jax.random.uniform(key, (3,))
+        count, points = self.paths.shape[:2]
+        segment = (which * count).astype(jnp.int32)
+        point = jnp.where(kind < self.config.on_path, where * (points - 1), 0).astype(jnp.int32)
+        return self.start(segment, self.paths[segment, point])
+
+    def overdue(self, state: ReachState) -> Array:
+        return state.step >= self.config.horizon
+
+    def target(self, state: ReachState, action: Array) -> Float[Array, "n"]:
+        """Configuration that an action asks for."""
+        rules = self.config
+        to_go = (self.segments.goal[state.segment] - state.q) / rules.max_delta
+        steps = jnp.max(jnp.abs(to_go))
+        straight = to_go / jnp.maximum(steps, 1.0)
+        correction = rules.authority * jnp.minimum(steps / rules.fade, 1.0) * action
+        low, high = self.cell.chain.limits.T
+        move = rules.max_delta * jnp.clip(straight + correction, -1, 1)
+        return jnp.clip(state.q + move, low, high)
+
+    def gap(self, cell: Workcell, points: Float[Array, "sample n"]) -> Float[Array, ""]:
+        """Smallest clearance at some configurations, up to the margin [m]."""
+        if self.config.backend == "fused":
+            found = jax.vmap(clearance_up_to, (None, 0, None))(cell, points, self.config.margin)
+        else:
+            check = backend(self.config.backend)
+            found = jax.vmap(lambda q: check(cell, q)[0])(points)
+        return jnp.min(found)
+
+    def reached(self, segment: Array, q: Array, pose: Array) -> Array:
+        """Is the tool at the goal, and the arm on the goal's branch?"""
+        relative = dq.mul(dq.conj(pose), self.goal_pose[segment])
+        sine = jnp.linalg.norm(relative[1:4])
+        return (
+            (jnp.linalg.norm(dq.position(relative)) <= self.config.near)
+            & (2 * jnp.arcsin(jnp.clip(sine, 0, 1)) <= self.config.turned)
+            & (jnp.max(jnp.abs(self.segments.goal[segment] - q)) <= self.config.same_branch)
         )
 
-    def reset(self, rng: PRNGKeyArray) -> State:
-        key_segment, key_point, key_kind = jax.random.split(rng, 3)
-        segment = jax.random.randint(key_segment, (), 0, self.segments.start.shape[0])
-        point = jax.random.randint(key_point, (), 0, self.paths.shape[1] - 1)
-        along = jax.random.uniform(key_kind) < self.config.on_path
-        return self.begin(segment, self.paths[segment, jnp.where(along, point, 0)])
-
-    def potential(self, q: Array, goal: Array) -> Float[Array, ""]:
-        """Minus the distance to go, of order one; its differences shape the reward
-        (Ng, Harada, Russell 1999)."""
-        return -jnp.linalg.norm(goal - q)
-
-    def step(self, state: State, action: Array) -> State:
-        rules, world = self.config, state.pipeline_state
-        cell, goal = self._scene(world.segment)
-        low, high = cell.chain.limits.T
-        wanted = jnp.clip(world.q + rules.max_delta * jnp.clip(action, -1, 1), low, high)
-        check = backend(rules.backend)
-        gap = edge_clearance(cell, world.q, wanted, rules.edge_samples, check)
+    def step(self, state: ReachState, action: Array) -> Move:
+        rules = self.config
+        wanted = self.target(state, action)
+        samples = points_between(state.q, wanted, rules.edge_samples)
+        gap = self.gap(self._scene(state.segment), samples)
         free = gap >= rules.margin
-        q = jnp.where(free, wanted, world.q)
-        reached = jnp.max(jnp.abs(goal - q)) <= rules.tolerance
-        count = world.step + 1
-        truncated = (count >= rules.horizon) & ~reached
+        q = jnp.where(free, wanted, state.q)
+        pose = tool_pose(self.cell, q)
+        reached = self.reached(state.segment, q, pose)
+        potential = self.potential(state.segment, q)
         reward = (
-            self.potential(q, goal)
-            - self.potential(world.q, goal)
+            potential
+            - state.potential
             - rules.step_cost
             - rules.blocked_cost * ~free
             + rules.success_bonus * reached
         )
-        world = ReachState(q, q - world.q, world.segment, gap, count)
-        return State(
-            world,
-            self.observe(cell, goal, world),
-            reward,
-            (reached | truncated).astype(jnp.float32),
-            {"success": reached.astype(jnp.float32)},
-            {"truncation": truncated.astype(jnp.float32)},
-        )
+        after = ReachState(q, pose, state.segment, gap, state.step + 1, potential)
+        return Move(after, reward, reached, reached, {"blocked": 1.0 - free})
+
+
+def _remaining(paths: Float[Array, "segment point n"]) -> Float[Array, "segment point"]:
+    """Length of each path from each of its points on [rad]."""
+    lengths = jnp.linalg.norm(jnp.diff(paths, axis=1), axis=-1)
+    lengths = jnp.pad(lengths, ((0, 0), (0, 1)))
+    return jnp.cumsum(lengths[:, ::-1], axis=1)[:, ::-1]
 
 
 def resample_path(path: np.ndarray, points: int) -> np.ndarray:

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: MIT
+"""The world of the joint-space agent, and what the trained agent's rollouts are worth."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from hybrid_jax import rrt
+from hybrid_jax.agents import joint, networks, ppo, training
+from hybrid_jax.kernels.collision import clearance
+from hybrid_jax.kernels.edges import edge_is_free
+from hybrid_jax.planner.harvest import Segments
+from hybrid_jax.simulation.reach import ReachConfig, ReachWorld, resample_path
+
+COUNT = 12
+CONFIG = joint.JointAgentConfig(
+    training=ppo.PpoConfig(steps=8_192, envs=64, minibatch=512), rollouts=8, retries=1
+)
+
+
+@pytest.fixture(scope="module")
+def segments(cell):
+    """Pairs of free configurations near home, each in the cell's own scene."""
+    rng = np.random.default_rng(0)
+    drawn = np.asarray(cell.home) + rng.uniform(-0.6, 0.6, (200, 7)).astype(np.float32)
+    free = drawn[np.asarray(jax.vmap(clearance, (None, 0))(cell, drawn)) > 0.02]
+    scene = jax.tree.map(lambda a: jnp.broadcast_to(a, (COUNT, *a.shape)), cell.scene)
+    return Segments(scene, jnp.asarray(free[:COUNT]), jnp.asarray(free[COUNT : 2 * COUNT]))
+
+
+@pytest.fixture(scope="module")
+def world(cell, segments):
+    return ReachWorld(cell, segments)
+
+
+def test_without_correction_the_arm_goes_straight_and_arrives_exactly(cell, segments, world):
+    """The neutral action; where nothing is in the way the last step ends on the goal."""
+    step = jax.jit(jax.vmap(world.step))
+    state = jax.vmap(world.start)(jnp.arange(COUNT), segments.start)
+    arrived = np.zeros(COUNT, bool)
+    for _ in range(40):
+        move = step(state, jnp.zeros((COUNT, 7)))
+        towards = np.abs(segments.goal - move.state.q) <= np.abs(segments.goal - state.q) + 1e-6
+        assert towards.all()
+        arrived |= np.asarray(move.success)
+        state = move.state
+    straight, _ = jax.vmap(lambda a, b: edge_is_free(cell, a, b, 0.01))(
+        segments.start, segments.goal
+    )
+    assert straight.sum() >= COUNT // 3 and arrived[np.asarray(straight)].all()
+    error = np.abs(np.asarray(state.q - segments.goal)).max(axis=1)
+    assert error[arrived].max() < 1e-5
+
+
+def test_a_rollout_never_stands_closer_than_the_margin(cell, segments, world):
+    """Random actions, ten steps a copy; the clearance by the exact kernel."""
+    state = jax.vmap(world.start)(jnp.arange(COUNT), segments.start)
+    step, blocked = jax.jit(jax.vmap(world.step)), 0
+    for key in jax.random.split(jax.random.key(1), 30):
+        action = jax.random.uniform(key, (COUNT, 7), minval=-1, maxval=1)
+        move = step(state, action)
+        blocked += int(move.facts["blocked"].sum())
+        assert (np.abs(move.state.q - state.q).max(axis=1) <= 0.08 + 1e-6).all()
+        state = move.state
+        gaps = jax.vmap(clearance, (None, 0))(cell, state.q)
+        assert (np.asarray(gaps) >= world.config.margin - 1e-6).all()
+    assert blocked > 0
+
+
+def test_reward_is_what_the_distance_to_go_loses(segments, world):
+    move = jax.jit(world.step)(world.start(jnp.int32(0), segments.start[0]), jnp.zeros(7))
+    before, after = (
+        np.linalg.norm(np.asarray(segments.goal[0] - q)) for q in (segments.start[0], move.state.q)
+    )
+    blocked = float(move.facts["blocked"])
+    assert float(move.reward) == pytest.approx(before - after - 0.02 - 0.05 * blocked, abs=1e-5)
+
+
+def test_distance_to_go_follows_the_expert(cell, segments):
+    """Half way along a detour of known length."""
+    start, goal = np.asarray(segments.start[0]), np.asarray(segments.goal[0])
+    detour = np.stack([start, start + [1, 0, 0, 0, 0, 0, 0], goal])
+    path = resample_path(detour, 33)
+    lengths = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    first = jax.tree.map(lambda a: a[:1], segments)
+    world = ReachWorld(cell, first, path[None].astype(np.float32), ReachConfig(stray=4.0))
+    for point in (0, 16, 32):
+        to_go = -float(world.potential(jnp.int32(0), jnp.asarray(path[point], jnp.float32)))
+        assert to_go == pytest.approx(lengths[point:].sum(), abs=1e-4)
+    plain = ReachWorld(cell, first, path[None].astype(np.float32))
+    straight = -float(plain.potential(jnp.int32(0), jnp.asarray(start, jnp.float32)))
+    assert straight == pytest.approx(float(np.linalg.norm(goal - start)), abs=1e-4)
+
+
+def test_mjx_backend_blocks_what_the_kernels_block(cell, segments):
+    """One move into the table and one away from everything, by both collision backends."""
+    low = np.asarray(cell.home, np.float32)
+    goal = low.copy()
+    goal[1] += 1.6
+    path = jnp.linspace(jnp.asarray(low), jnp.asarray(goal), 24)
+    gaps = np.asarray(jax.vmap(clearance, (None, 0))(cell, path))
+    hit = int(np.argmax(gaps < -0.01))
+    assert hit > 0
+    for name in ("fused", "mjx"):
+        world = ReachWorld(cell, segments, None, ReachConfig(backend=name))
+        gap = jax.jit(lambda points, world=world: world.gap(cell, points))
+        assert gap(path[hit : hit + 1]) < 0 < gap(path[:1])
+
+
+@pytest.fixture(scope="module")
+def agent(cell, segments):
+    """A few updates on segments with experts' paths."""
+    solved, paths = joint.expert_paths(
+        cell, segments, CONFIG.__class__(expert=rrt.RrtConfig(nodes=100)), jax.random.key(0)
+    )
+    world = ReachWorld(cell, solved, paths, CONFIG.reach)
+    net = joint.make_net(cell, CONFIG)
+    return net, training.train(world, net, CONFIG.training).policy(), solved
+
+
+def test_the_bridger_returns_proven_paths_or_nothing(cell, agent):
+    net, policy, solved = agent
+    bridge, found = joint.make_bridger(cell, net, policy, CONFIG), 0
+    for i in range(6):
+        scene = jax.tree.map(lambda a, i=i: a[i], solved.scene)
+        path = bridge(scene, solved.start[i], solved.goal[i], jax.random.key(i))
+        if path is None:
+            continue
+        found += 1
+        np.testing.assert_array_equal(path[0], solved.start[i])
+        np.testing.assert_array_equal(path[-1], solved.goal[i])
+        inside = cell.replace(scene=scene)
+        dense = np.concatenate(
+            [np.linspace(a, b, 20) for a, b in zip(path[:-1], path[1:], strict=True)]
+        )
+        assert float(jax.vmap(clearance, (None, 0))(inside, dense).min()) > 0
+    assert found >= 4
+
+
+def test_a_wider_spread_is_bolder_and_none_is_the_mode(agent):
+    net, policy, _ = agent
+    obs = jnp.zeros(policy.normalizer.mean.shape)
+    keys = jax.random.split(jax.random.key(0), 200)
+    mode = networks.act(net, policy, obs, None)
+    away = [
+        np.abs(jax.vmap(lambda k, s=s: networks.act(net, policy, obs, k, s))(keys) - mode).mean()
+        for s in (0.0, 0.5, 1.0)
+    ]
+    assert away[0] < 1e-6 < away[1] < away[2]
