@@ -6,7 +6,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hybrid_jax import rrt
 from hybrid_jax.agents import joint, networks, ppo, training
 from hybrid_jax.kernels.collision import clearance
 from hybrid_jax.kernels.edges import edge_is_free
@@ -109,27 +108,23 @@ def test_mjx_backend_blocks_what_the_kernels_block(cell, segments):
 
 
 @pytest.fixture(scope="module")
-def agent(cell, segments):
-    """A few updates on segments with experts' paths."""
-    solved, paths = joint.expert_paths(
-        cell, segments, CONFIG.__class__(expert=rrt.RrtConfig(nodes=100)), jax.random.key(0)
-    )
-    world = ReachWorld(cell, solved, paths, CONFIG.reach)
+def agent(cell, segments, world):
+    """A few updates; segments that a straight line solves are solved before the first."""
     net = joint.make_net(cell, CONFIG)
-    return net, training.train(world, net, CONFIG.training).policy(), solved
+    return net, training.train(world, net, CONFIG.training).policy()
 
 
-def test_the_bridger_returns_proven_paths_or_nothing(cell, agent):
-    net, policy, solved = agent
+def test_the_bridger_returns_proven_paths_or_nothing(cell, segments, agent):
+    net, policy = agent
     bridge, found = joint.make_bridger(cell, net, policy, CONFIG), 0
     for i in range(6):
-        scene = jax.tree.map(lambda a, i=i: a[i], solved.scene)
-        path = bridge(scene, solved.start[i], solved.goal[i], jax.random.key(i))
+        scene = jax.tree.map(lambda a, i=i: a[i], segments.scene)
+        path = bridge(scene, segments.start[i], segments.goal[i], jax.random.key(i))
         if path is None:
             continue
         found += 1
-        np.testing.assert_array_equal(path[0], solved.start[i])
-        np.testing.assert_array_equal(path[-1], solved.goal[i])
+        np.testing.assert_array_equal(path[0], segments.start[i])
+        np.testing.assert_array_equal(path[-1], segments.goal[i])
         inside = cell.replace(scene=scene)
         dense = np.concatenate(
             [np.linspace(a, b, 20) for a, b in zip(path[:-1], path[1:], strict=True)]
@@ -139,7 +134,7 @@ def test_the_bridger_returns_proven_paths_or_nothing(cell, agent):
 
 
 def test_a_wider_spread_is_bolder_and_none_is_the_mode(agent):
-    net, policy, _ = agent
+    net, policy = agent
     obs = jnp.zeros(policy.normalizer.mean.shape)
     keys = jax.random.split(jax.random.key(0), 200)
     mode = networks.act(net, policy, obs, None)
