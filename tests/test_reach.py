@@ -93,7 +93,7 @@ def test_distance_to_go_follows_the_expert(cell, segments):
 
 
 def test_mjx_backend_blocks_what_the_kernels_block(cell, segments):
-    """One move into the table and one away from everything, by both collision backends."""
+    """A configuration that hits something and home, by both collision backends."""
     low = np.asarray(cell.home, np.float32)
     goal = low.copy()
     goal[1] += 1.6

@@ -94,8 +94,8 @@ def rollout(
         steps: how many.
 
     Returns:
-        The copies, and `[step, copy]` arrays: `obs`, `next_obs` only where asked for by `choose`,
-        `reward`, `terminated`, `success`, `facts`, and what `choose` keeps.
+        The copies, and `[step, copy]` arrays: `obs`, `reward`, `terminated`, `success`, `facts`,
+        and what `choose` keeps.
     """
     count = copies.obs.shape[0]
     key_spare, key_steps = jax.random.split(key)

@@ -36,8 +36,9 @@ configurations uncertain, and costs more for all."""
 _MEASURED_NEAR = (4, 5)
 """The same where only what is near counts: most configurations are certain by their bounds."""
 _TABLE = 64
-_REDO = 16
 """Configurations at a time of which every pair is measured: the uncertain, and small batches."""
+_REDO = 16
+"""The same for the uncertain ones where only what is near counts: they are few."""
 
 
 def _groups(cell: Workcell, own: Blocks, parts: str) -> list:
@@ -211,7 +212,10 @@ def closest(cell: Workcell, q: Float[Array, "n"]) -> tuple[Float[Array, ""], Boo
 def clearance_up_to(
     cell: Workcell, q: Float[Array, "n"], enough: float | Array
 ) -> Float[Array, ""]:
-    """The smaller of `clearance` and `enough` [m]: exact, and cheaper the less is enough."""
+    """The smaller of `clearance` and `enough` [m].
+
+    Exact, and cheaper in batches: what is certainly farther than enough is not measured again.
+    """
     return _NEAR(cell, q, jnp.asarray(enough, q.dtype))
 
 
