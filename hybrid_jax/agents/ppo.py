@@ -130,8 +130,10 @@ def _loss(params, net: ActorCritic, normalizer, batch, config: PpoConfig, key):
     terms = {
         "policy_loss": -jnp.mean(jnp.minimum(ratio * advantage, clipped * advantage)),
         "value_loss": config.value * jnp.mean((values - batch["target"]) ** 2),
-        "entropy_loss": -config.entropy * jnp.mean(net.actions.entropy(logits, key)),
     }
+    if config.entropy:  # an estimate that nothing weighs would take a third of the step
+        entropy = net.actions.entropy(logits, key)
+        terms["entropy_loss"] = -config.entropy * jnp.mean(entropy)
     return sum(terms.values()), terms
 
 
@@ -156,8 +158,7 @@ def improve(net: ActorCritic, config: PpoConfig, learner: Learner, samples, key:
 
     def minibatch(carry, part):
         params, opt = carry
-        index, key = part
-        batch = jax.tree.map(lambda a: a[index], samples)
+        batch, key = part
         grads, terms = jax.grad(_loss, has_aux=True)(
             params, net, learner.normalizer, batch, config, key
         )
@@ -166,8 +167,13 @@ def improve(net: ActorCritic, config: PpoConfig, learner: Learner, samples, key:
 
     def epoch(carry, key):
         key_order, key_entropy = jax.random.split(key)
-        order = jax.random.permutation(key_order, count).reshape(-1, config.minibatch // parts)
-        return jax.lax.scan(minibatch, carry, (order, jax.random.split(key_entropy, len(order))))
+        order = jax.random.permutation(key_order, count)
+        # one gather an epoch: one a minibatch is slower where minibatches are small
+        batches = jax.tree.map(
+            lambda a: a[order].reshape(-1, config.minibatch // parts, *a.shape[1:]), samples
+        )
+        keys = jax.random.split(key_entropy, count * parts // config.minibatch)
+        return jax.lax.scan(minibatch, carry, (batches, keys))
 
     keys = jax.random.split(key, config.epochs)
     return jax.lax.scan(epoch, (learner.params, learner.optimizer), keys)

@@ -35,12 +35,17 @@ Report = Callable[[int, Training, dict[str, np.ndarray]], None]
 """Called after each update with steps done, the training and its metrics `[seed]`."""
 
 
+FEWEST_SAMPLES = 256
+"""Samples of a minibatch that a device must have for its help to outweigh averaging gradients."""
+
+
 def pick_devices(config: ppo.PpoConfig) -> list[Any]:
-    """As many devices as share copies and minibatches evenly."""
+    """As many devices as share copies and minibatches evenly, and have enough of the latter."""
     devices = jax.local_devices()
     return devices[: max(
         n for n in range(1, len(devices) + 1)
-        if config.envs % n == 0 and config.minibatch % n == 0
+        if n == 1 or (config.envs % n == 0 and config.minibatch % n == 0
+                      and config.minibatch // n >= FEWEST_SAMPLES)
     )]  # fmt: skip
 
 
