@@ -30,6 +30,10 @@ class DemonstrationError(HybridJaxError, ValueError):
     """A recording that no skill can be made of: the message names the row and what is wrong."""
 
 
+class SegmentError(HybridJaxError, ValueError):
+    """A segment that no motion can bridge: the message names its end and what is wrong there."""
+
+
 class TaskError(HybridJaxError):
     """A task file or task that the cell cannot understand."""
 

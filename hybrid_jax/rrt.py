@@ -2,7 +2,7 @@
 """RRT-Connect for many problems in lockstep, on the collision kernels.
 
 Reference: Kuffner, LaValle, "RRT-Connect: An Efficient Approach to Single-Query Path Planning",
-ICRA 2000. Training takes start states from its paths; nothing that it returns is used unchecked.
+ICRA 2000. It tells which problems have a solution; nothing that it returns is used unchecked.
 """
 
 import functools

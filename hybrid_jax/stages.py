@@ -110,24 +110,18 @@ def collect_segments(run: Run, name: str, first: int, count: int, quiet: bool) -
     )
 
 
-def training_segments(run: Run, quiet: bool) -> tuple[harvest.Segments, np.ndarray]:
-    """Segments to train on with an expert's paths, from the run's file or made anew."""
+def training_segments(run: Run, quiet: bool) -> harvest.Segments:
+    """Segments to train on, from the run's file or made anew."""
     path = run.path("segments.npz")
     if not path.is_file():
         found = collect_segments(run, "collect", TRAINING_TASKS, run.preset.tasks, quiet)
-        segments, paths = joint.expert_paths(
-            run.cell, found, run.preset.joint, jax.random.key(run.seed)
-        )
-        run.save(
-            path.name,
-            "infeasible segments",
-            {"segments": segments, "paths": paths},
-            found=int(found.start.shape[0]),
-        )
+        run.save(path.name, "infeasible segments", found)
     _, state = run.load(path.name, "infeasible segments")
-    scene = artifacts.restore(run.cell.scene, state["segments"]["scene"])
-    segments = harvest.Segments(scene, state["segments"]["start"], state["segments"]["goal"])
-    return jax.tree.map(jnp.asarray, segments), state["paths"]
+    scene = artifacts.restore(run.cell.scene, state["scene"])
+    segments = harvest.Segments(scene, state["start"], state["goal"])
+    segments = jax.tree.map(jnp.asarray, segments)
+    harvest.refuse_infeasible(run.cell, segments, run.preset.joint.reach.margin)
+    return segments
 
 
 def _train_ppo(
@@ -167,10 +161,10 @@ def _train_ppo(
 def run_drl(run: Run, quiet: bool) -> dict:
     """PPO on the infeasible segments (Algorithm 1, lines 4-8; Algorithm 3)."""
     config = run.preset.joint
-    segments, paths = training_segments(run, quiet)
+    segments = training_segments(run, quiet)
     net = joint.make_net(run.cell, config)
     state = _train_ppo(
-        run, "drl", ReachWorld(run.cell, segments, paths, config.reach), net, config.training, quiet
+        run, "drl", ReachWorld(run.cell, segments, config.reach), net, config.training, quiet
     )
     policy = state.policy()
     test = collect_segments(run, "collect", HELD_OUT_TASKS, run.preset.held_out, quiet)
@@ -190,7 +184,7 @@ def run_drl(run: Run, quiet: bool) -> dict:
         ("success", "reward"),
     )
     return {
-        "segments": len(paths),
+        "segments": int(segments.start.shape[0]),
         "held_out_single": round(single, 3),
         "held_out_best_of_16": round(best, 3),
     }

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from hybrid_jax.agents import joint, networks, ppo, training
+from hybrid_jax.errors import SegmentError
 from hybrid_jax.kernels.collision import clearance
 from hybrid_jax.kernels.edges import edge_is_free
-from hybrid_jax.planner.harvest import Segments
-from hybrid_jax.simulation.reach import ReachConfig, ReachWorld, resample_path
+from hybrid_jax.planner.harvest import Segments, refuse_infeasible
+from hybrid_jax.simulation.reach import ReachConfig, ReachWorld
 
 COUNT = 12
 CONFIG = joint.JointAgentConfig(
@@ -23,6 +24,7 @@ def segments(cell):
     """Pairs of free configurations near home, each in the cell's own scene."""
     rng = np.random.default_rng(0)
     drawn = np.asarray(cell.home) + rng.uniform(-0.6, 0.6, (200, 7)).astype(np.float32)
+    drawn = np.clip(drawn, *np.asarray(cell.joint_limits).T)
     free = drawn[np.asarray(jax.vmap(clearance, (None, 0))(cell, drawn)) > 0.02]
     scene = jax.tree.map(lambda a: jnp.broadcast_to(a, (COUNT, *a.shape)), cell.scene)
     return Segments(scene, jnp.asarray(free[:COUNT]), jnp.asarray(free[COUNT : 2 * COUNT]))
@@ -76,22 +78,6 @@ def test_reward_is_what_the_distance_to_go_loses(segments, world):
     assert float(move.reward) == pytest.approx(before - after - 0.02 - 0.05 * blocked, abs=1e-5)
 
 
-def test_distance_to_go_follows_the_expert(cell, segments):
-    """Half way along a detour of known length."""
-    start, goal = np.asarray(segments.start[0]), np.asarray(segments.goal[0])
-    detour = np.stack([start, start + [1, 0, 0, 0, 0, 0, 0], goal])
-    path = resample_path(detour, 33)
-    lengths = np.linalg.norm(np.diff(path, axis=0), axis=1)
-    first = jax.tree.map(lambda a: a[:1], segments)
-    world = ReachWorld(cell, first, path[None].astype(np.float32), ReachConfig(stray=4.0))
-    for point in (0, 16, 32):
-        to_go = -float(world.potential(jnp.int32(0), jnp.asarray(path[point], jnp.float32)))
-        assert to_go == pytest.approx(lengths[point:].sum(), abs=1e-4)
-    plain = ReachWorld(cell, first, path[None].astype(np.float32))
-    straight = -float(plain.potential(jnp.int32(0), jnp.asarray(start, jnp.float32)))
-    assert straight == pytest.approx(float(np.linalg.norm(goal - start)), abs=1e-4)
-
-
 def test_mjx_backend_blocks_what_the_kernels_block(cell, segments):
     """A configuration that hits something and home, by both collision backends."""
     low = np.asarray(cell.home, np.float32)
@@ -102,7 +88,7 @@ def test_mjx_backend_blocks_what_the_kernels_block(cell, segments):
     hit = int(np.argmax(gaps < -0.01))
     assert hit > 0
     for name in ("fused", "mjx"):
-        world = ReachWorld(cell, segments, None, ReachConfig(backend=name))
+        world = ReachWorld(cell, segments, ReachConfig(backend=name))
         gap = jax.jit(lambda points, world=world: world.gap(cell, points))
         assert gap(path[hit : hit + 1]) < 0 < gap(path[:1])
 
@@ -131,6 +117,36 @@ def test_the_bridger_returns_proven_paths_or_nothing(cell, segments, agent):
         )
         assert float(jax.vmap(clearance, (None, 0))(inside, dense).min()) > 0
     assert found >= 4
+
+
+def test_rollouts_stop_once_enough_have_arrived(world, segments, agent):
+    """Those that arrived by then are the same rollouts; nobody stands beyond the last step."""
+    net, policy = agent
+    index, spread = jnp.arange(COUNT), jnp.zeros(COUNT)
+    key = jax.random.key(0)
+    (everyone, arrived), (few, early) = (
+        jax.jit(lambda n=n: joint.rollouts(world, net, policy, index, spread, key, n))()
+        for n in (None, 3)
+    )
+    assert 3 <= early.sum() < arrived.sum() and arrived[np.asarray(early)].all()
+    chosen = np.asarray(early)
+    np.testing.assert_allclose(few[:, chosen], everyone[:, chosen], atol=1e-5)
+    np.testing.assert_array_equal(few[0], segments.start)
+
+
+def test_infeasible_ends_are_refused_by_name(cell, segments, agent):
+    """Outside a limit, or in the table; by the check and by the bridger alike."""
+    far = segments.replace(goal=segments.goal.at[2, 1].set(9.0))
+    with pytest.raises(SegmentError, match=r"segment 2: joint '.*2' of its goal is 9"):
+        refuse_infeasible(cell, far, 0.0)
+    low = jnp.asarray(cell.home).at[1].add(1.6)
+    assert clearance(cell, low) < 0
+    hit = segments.replace(start=segments.start.at[1].set(low))
+    with pytest.raises(SegmentError, match=r"segment 1: the clearance of its start is -"):
+        refuse_infeasible(cell, hit, 0.0)
+    bridge = joint.make_bridger(cell, *agent, CONFIG)
+    with pytest.raises(SegmentError, match="its goal"):
+        bridge(cell.scene, segments.start[0], low, jax.random.key(0))
 
 
 def test_a_wider_spread_is_bolder_and_none_is_the_mode(agent):

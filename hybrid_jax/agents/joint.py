@@ -9,18 +9,18 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from hybrid_jax import rrt
-from hybrid_jax.agents import networks, ppo
+from hybrid_jax.agents import networks, ppo, worlds
+from hybrid_jax.kernels.collision import clearance
 from hybrid_jax.kernels.edges import edge_is_free
-from hybrid_jax.planner.harvest import Segments
-from hybrid_jax.simulation.reach import ReachConfig, ReachWorld, resample_path
+from hybrid_jax.planner.harvest import Segments, refuse_infeasible, single_segment
+from hybrid_jax.simulation.reach import ReachConfig, ReachWorld
 from hybrid_jax.types import Scene, Workcell
 
 Bridger = Callable[[Scene, np.ndarray, np.ndarray, Array], np.ndarray | None]
 """(scene, start, goal, key) to collision-free way points from start to goal, or None."""
 
-PATH_POINTS = 32
-"""Way points kept of an expert's path."""
+SHORT = 16
+"""Way points of a short path."""
 WIDEST = 1.5
 """Spread of the boldest rollout; the first follows the policy's mode, those between grow bolder."""
 
@@ -31,28 +31,18 @@ class JointAgentConfig:
 
     training: ppo.PpoConfig = ppo.PpoConfig()
     reach: ReachConfig = ReachConfig()
-    expert: rrt.RrtConfig = rrt.RrtConfig()
     rollouts: int = 64
     """Rollouts of one planning call."""
+    enough: int = 16
+    """Rollouts that must arrive before the others, which would be longer, are given up."""
+    candidates: int = 8
+    """Shortest rollouts among which the best is picked."""
+    clearance_worth: float = 10.0
+    """Way of the joints that a metre of clearance is worth [rad/m], ..."""
+    ample_clearance: float = 0.05
+    """... up to this clearance [m]."""
     retries: int = 2
     """Planning calls before the agent gives up."""
-
-
-def expert_paths(
-    cell: Workcell, segments: Segments, config: JointAgentConfig, key: Array
-) -> tuple[Segments, np.ndarray]:
-    """The segments that RRT-Connect solves, and its paths `[segment, point, joint]`.
-
-    Their lengths are the agent's distance to go, and episodes may start anywhere on them.
-    """
-    paths = rrt.plan_paths(
-        cell, segments.scene, segments.start, segments.goal, config.expert, key=key
-    )
-    solved = np.array([i for i, path in enumerate(paths) if path is not None])
-    if not len(solved):
-        raise ValueError("RRT-Connect solved none of the infeasible segments: no start states")
-    kept = jax.tree.map(lambda a: a[solved], segments)
-    return kept, np.stack([resample_path(paths[i], PATH_POINTS) for i in solved]).astype(np.float32)
 
 
 def make_net(cell: Workcell, config: JointAgentConfig) -> networks.ActorCritic:
@@ -68,39 +58,45 @@ def rollouts(
     policy: networks.Policy,
     index: Array,
     spread: Array,
-    keys: Array,
+    key: Array,
+    enough: int | None = None,
 ) -> tuple[Array, Array]:
-    """Run one rollout for each entry of `index`.
+    """Run one rollout for each entry of `index`, until they arrive or the horizon is reached.
 
     Args:
         world: of the segments.
         net, policy: the trained agent.
         index: `[rollout]` segment of each.
         spread: `[rollout]` 0 for the policy's mode, 1 for its samples, see `networks.act`.
-        keys: `[rollout]`, consumed.
+        key: consumed.
+        enough: stop once so many have arrived; all if None.
 
     Returns:
-        Way points `[rollout, horizon + 2, joint]` that stay where an episode ended and close with
+        Way points `[horizon + 2, rollout, joint]` that stay where an episode ended and close with
         the goal, and whether each reached it.
     """
-    segments = world.segments
+    segments, count = world.segments, len(index)
 
-    def run(segment, spread, key):
-        def step(carry, key):
-            state, reached = carry
-            action = networks.act(net, policy, world.observe(state), key, spread)
-            move = world.step(state, action)
-            state = jax.tree.map(lambda a, b: jnp.where(reached, a, b), state, move.state)
-            return (state, reached | move.success), state.q
+    def going(carry):
+        step, _, reached, _ = carry
+        return (step < world.config.horizon) & (jnp.sum(reached) < (enough or count))
 
-        state = world.start(segment, segments.start[segment])
-        (_, reached), q = jax.lax.scan(
-            step, (state, jnp.array(False)), jax.random.split(key, world.config.horizon)
-        )
-        ends = segments.start[segment][None], segments.goal[segment][None]
-        return jnp.concatenate([ends[0], q, ends[1]]), reached
+    def advance(carry):
+        step, state, reached, q = carry
+        obs = jax.vmap(world.observe)(state)
+        chosen = networks.act(net, policy, obs, jax.random.fold_in(key, step), spread[:, None])
+        move = jax.vmap(world.step)(state, chosen)
+        state = worlds.choose_states(reached, state, move.state)
+        return step + 1, state, reached | move.success, q.at[step].set(state.q)
 
-    return jax.vmap(run)(index, spread, keys)
+    first, last = segments.start[index], segments.goal[index]
+    state = jax.vmap(world.start)(index, first)
+    q = jnp.zeros((world.config.horizon, *first.shape), first.dtype)
+    steps, state, reached, q = jax.lax.while_loop(
+        going, advance, (0, state, jnp.zeros(count, bool), q)
+    )
+    done = jnp.arange(world.config.horizon)[:, None, None] >= steps
+    return jnp.concatenate([first[None], jnp.where(done, state.q, q), last[None]]), reached
 
 
 def spreads(count: int) -> Array:
@@ -121,13 +117,33 @@ def success_rates(
     index, spread = jnp.tile(jnp.arange(count), 16), jnp.repeat(spreads(16), count)
 
     @jax.jit
-    def run(policy, segments, keys):
-        world = ReachWorld(cell, segments, None, config.reach)
-        return rollouts(world, net, policy, index, spread, keys)[1]
+    def run(policy, segments, key):
+        world = ReachWorld(cell, segments, config.reach)
+        return rollouts(world, net, policy, index, spread, key)[1]
 
-    reached = np.asarray(run(policy, segments, jax.random.split(key, len(index))))
+    reached = np.asarray(run(policy, segments, key))
     table = reached.reshape(16, count)
     return float(table[0].mean()), float(table.any(axis=0).mean())
+
+
+def _best_first(
+    inside: Workcell, q: Array, reached: Array, config: JointAgentConfig
+) -> tuple[Array, Array]:
+    """The shortest rollouts `[candidate, point, joint]`, best first by length and clearance."""
+    length = jnp.where(reached, jnp.sum(jnp.abs(jnp.diff(q, axis=0)), axis=(0, 2)), jnp.inf)
+    shortest = jnp.argsort(length)[: config.candidates]
+    length = length[shortest]
+    paths = jnp.swapaxes(q[:, shortest], 0, 1)
+    gaps = jax.vmap(jax.vmap(lambda point: clearance(inside, point)))(paths)
+    gap = jnp.minimum(jnp.min(gaps, axis=1), config.ample_clearance)
+    order = jnp.argsort(length - config.clearance_worth * gap)
+    return paths[order], jnp.isfinite(length)[order]
+
+
+def _moved(q: np.ndarray) -> np.ndarray:
+    """Way points `[point, joint]` without those that repeat the one before."""
+    moved = np.abs(np.diff(q, axis=0)).max(axis=1) > 1e-6
+    return np.concatenate([q[:1], q[1:][moved]])
 
 
 def make_bridger(
@@ -135,35 +151,42 @@ def make_bridger(
 ) -> Bridger:
     """The trained agent as a function that the planner calls.
 
-    Rollouts are tried from the shortest on; the first whose every edge is proven free is returned.
+    The shortest rollouts are ranked by length and clearance; the first whose every edge is proven
+    free is returned.
+
+    Raises:
+        SegmentError: the function, if an end of its segment is outside the limits or not free.
     """
+    spread = spreads(config.rollouts)
 
     @jax.jit
     def run(policy, segments, key):
-        world = ReachWorld(cell, segments, None, config.reach)
+        world = ReachWorld(cell, segments, config.reach)
         index = jnp.zeros(config.rollouts, int)
-        keys = jax.random.split(key, config.rollouts)
-        return rollouts(world, net, policy, index, spreads(config.rollouts), keys)
+        q, reached = rollouts(world, net, policy, index, spread, key, config.enough)
+        scene = jax.tree.map(lambda a: a[0], segments.scene)
+        return _best_first(cell.replace(scene=scene), q, reached, config)
 
     @jax.jit
-    def proven(scene, path):
+    def prove(scene, path):
         inside = cell.replace(scene=scene)
         free, _ = jax.vmap(lambda a, b: edge_is_free(inside, a, b))(path[:-1], path[1:])
         return jnp.all(free)
 
+    def proven(scene, path):
+        # two sizes of path, so that there are two programs only; most paths are short
+        size = SHORT if len(path) <= SHORT else config.reach.horizon + 2
+        padded = np.concatenate([path, path[-1:].repeat(size - len(path), axis=0)])
+        return bool(prove(scene, padded))
+
     def bridge(scene, start, goal, key):
-        one = Segments(
-            jax.tree.map(lambda a: a[None], scene),
-            jnp.asarray(start)[None],
-            jnp.asarray(goal)[None],
-        )
+        one = single_segment(scene, start, goal)
+        refuse_infeasible(cell, one, 0.0)
         for attempt in range(config.retries):
-            q, reached = jax.device_get(run(policy, one, jax.random.fold_in(key, attempt)))
-            length = np.where(reached, np.abs(np.diff(q, axis=1)).sum(axis=(1, 2)), np.inf)
-            for best in np.argsort(length)[: int(reached.sum())]:
-                if proven(scene, q[best]):
-                    moved = np.abs(np.diff(q[best], axis=0)).max(axis=1) > 1e-6
-                    return np.concatenate([q[best][:1], q[best][1:][moved]])
+            ranked, arrived = jax.device_get(run(policy, one, jax.random.fold_in(key, attempt)))
+            for path in map(_moved, ranked[arrived]):
+                if proven(scene, path):
+                    return path
         return None
 
     return bridge

@@ -10,11 +10,17 @@ from hybrid_jax.kernels.kinematics import manipulability
 from hybrid_jax.planner.harvest import bridge_ends, phase_options
 from hybrid_jax.planner.labelling import Bridge
 from hybrid_jax.planner.lfd import skill_path
-from hybrid_jax.simulation.reach import resample_path
 from hybrid_jax.skills.task import Task
 from hybrid_jax.types import Workcell
 
 _manipulability = jax.jit(jax.vmap(manipulability, (None, 0)))
+
+
+def resample_path(path: np.ndarray, points: int) -> np.ndarray:
+    """`points` configurations evenly spaced along a polyline `[n, joint]`."""
+    length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    at = np.linspace(0, max(length[-1], 1e-9), points)
+    return np.stack([np.interp(at, length, column) for column in path.T], axis=1)
 
 
 def _grid(bridge: Bridge, drl: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:

@@ -6,15 +6,15 @@ would bring the robot closer than the margin is not made: a rollout's way points
 
 One choice makes it learnable in a minute: the action corrects a straight step towards the goal and
 fades out beside it. So an untrained agent already solves what a straight line solves, and ends
-are exact (residual policies: Johannink et al., arXiv:1812.03201). Beside it a reward that follows
-an expert's path (`stray`) and starts along that path (`on_path`) make no difference.
+are exact (residual policies: Johannink et al., arXiv:1812.03201). Beside it neither a reward that
+follows an expert's path nor starts along that path made a difference: there are none.
 """
 
+import math
 from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 from jaxtyping import Float, PRNGKeyArray
 
@@ -39,7 +39,7 @@ class ReachConfig:
     """Corrections fade within this many steps of the goal."""
     near: float = 0.01
     """A goal is reached when the tool is this close [m], ..."""
-    turned: float = 0.035
+    turned: float = math.radians(2)
     """... is turned by no more than this [rad], ..."""
     same_branch: float = 0.1
     """... and every joint is this close [rad]."""
@@ -57,11 +57,6 @@ class ReachConfig:
     """Cost of a move that was not made."""
     success_bonus: float = 2.0
     """Reward for reaching the goal."""
-    stray: float = 1.0
-    """Length that a distance from the expert's path counts, over that along it. With 1 the way
-    to go is a straight line; the larger, the closer the reward follows the path."""
-    on_path: float = 0.5
-    """Share of episodes that start along an expert's path instead of at its beginning."""
 
 
 @pytree
@@ -91,27 +86,13 @@ def rotation_6d(quat: Float[Array, "4"]) -> Float[Array, "6"]:
 class ReachWorld:
     """A `World` (see `agents.worlds`) of segments to be bridged."""
 
-    discrete = False
-
-    def __init__(
-        self,
-        cell: Workcell,
-        segments: Segments,
-        paths: Float[Array, "segment point n"] | None = None,
-        config: ReachConfig = ReachConfig(),
-    ):
+    def __init__(self, cell: Workcell, segments: Segments, config: ReachConfig = ReachConfig()):
         """Args:
         cell: robot and fixtures.
         segments: problems to draw from.
-        paths: collision-free way points of each problem, from its start to its goal; the straight
-            lines where None, which is enough for rollouts of a trained agent.
         config: rules.
         """
-        if paths is None:
-            paths = jnp.stack([segments.start, segments.goal], axis=1)
         self.cell, self.segments, self.config = cell, segments, config
-        self.paths = jnp.asarray(paths)
-        self.remaining = _remaining(self.paths)
         self.goal_pose = jax.vmap(tool_pose, (None, 0))(cell, segments.goal)
         self.action_size = cell.home.size
         self.observation_size = self.observation_length(cell)
@@ -152,12 +133,11 @@ class ReachWorld:
         )
 
     def potential(self, segment: Array, q: Array) -> Float[Array, ""]:
-        """Minus the way to an expert's path and along it to the goal [rad].
+        """Minus the distance to the goal [rad].
 
         Its differences shape the reward (Ng, Harada, Russell 1999).
         """
-        away = jnp.linalg.norm(self.paths[segment] - q, axis=-1)
-        return -jnp.min(self.config.stray * away + self.remaining[segment])
+        return -jnp.linalg.norm(self.segments.goal[segment] - q)
 
     def start(self, segment: Array, q: Array) -> ReachState:
         """A given problem from a given configuration."""
@@ -167,12 +147,9 @@ class ReachWorld:
         return ReachState(q, pose, segment, margin, zero, self.potential(segment, q))
 
     def begin(self, key: PRNGKeyArray) -> ReachState:
-        """A random problem, from its start or from somewhere on its expert's path."""
-        which, where, kind = jax.random.uniform(key, (3,))
-        count, points = self.paths.shape[:2]
-        segment = (which * count).astype(jnp.int32)
-        point = jnp.where(kind < self.config.on_path, where * (points - 1), 0).astype(jnp.int32)
-        return self.start(segment, self.paths[segment, point])
+        """A random problem, from its start."""
+        segment = jax.random.randint(key, (), 0, self.segments.start.shape[0], jnp.int32)
+        return self.start(segment, self.segments.start[segment])
 
     def overdue(self, state: ReachState) -> Array:
         return state.step >= self.config.horizon
@@ -226,17 +203,3 @@ class ReachWorld:
         )
         after = ReachState(q, pose, state.segment, gap, state.step + 1, potential)
         return Move(after, reward, reached, reached, {"blocked": 1.0 - free})
-
-
-def _remaining(paths: Float[Array, "segment point n"]) -> Float[Array, "segment point"]:
-    """Length of each path from each of its points on [rad]."""
-    lengths = jnp.linalg.norm(jnp.diff(paths, axis=1), axis=-1)
-    lengths = jnp.pad(lengths, ((0, 0), (0, 1)))
-    return jnp.cumsum(lengths[:, ::-1], axis=1)[:, ::-1]
-
-
-def resample_path(path: np.ndarray, points: int) -> np.ndarray:
-    """`points` configurations evenly spaced along a polyline `[n, joint]`."""
-    length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
-    at = np.linspace(0, max(length[-1], 1e-9), points)
-    return np.stack([np.interp(at, length, column) for column in path.T], axis=1)
