@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """The stages of a training run: map, three agents, demonstration. Each leaves files in the run."""
 
+import dataclasses
 import functools
 import json
 import time
@@ -12,7 +13,7 @@ import numpy as np
 
 from hybrid_jax import artifacts, pictures
 from hybrid_jax.agents import controllers, dqn, joint, ppo, switching, training
-from hybrid_jax.errors import TrainingError
+from hybrid_jax.errors import RunFolderError, TrainingError
 from hybrid_jax.feasibility import building
 from hybrid_jax.feasibility.judging import Reason
 from hybrid_jax.planner import combining, harvest
@@ -124,19 +125,38 @@ def training_segments(run: Run, quiet: bool) -> harvest.Segments:
     return segments
 
 
+def _read_checkpoint(run: Run, name: str, world, net, config: ppo.PpoConfig) -> training.Training:
+    """A training where it stopped.
+
+    Raises:
+        RunFolderError: damaged, of another cell, or made with other settings.
+    """
+    header, saved = run.load(name, "checkpoint")
+    now = json.loads(json.dumps(dataclasses.asdict(config)))
+    for setting, value in now.items():
+        was = header.get("settings", {}).get(setting)
+        if was != value:
+            raise RunFolderError(
+                f"{run.path(name)} was trained with {setting} {was}, now {value}: delete it to "
+                f"train anew, or go on with the preset that it was made with"
+            )
+    fresh = training.Programs(world, net, config).start((config.seed,))
+    return jax.tree.map(jnp.asarray, artifacts.restore(fresh, saved))
+
+
 def _train_ppo(
     run: Run, stage: str, world, net, config: ppo.PpoConfig, quiet: bool, every: int = 20
 ) -> training.Training:
     """Train with progress, metrics and checkpoints; goes on from a checkpoint if there is one."""
     checkpoint = run.path(f"{stage}_checkpoint.npz")
-    latest, success = training.Programs(world, net, config).start((config.seed,)), 0.0
+    latest, success = None, 0.0
     if checkpoint.is_file():
-        _, saved = run.load(checkpoint.name, "checkpoint")
-        latest = jax.tree.map(jnp.asarray, artifacts.restore(latest, saved))
+        latest = _read_checkpoint(run, checkpoint.name, world, net, config)
     progress = Progress(stage, "steps", quiet)
 
     def keep():
-        run.save(checkpoint.name, "checkpoint", latest, iteration=int(latest.learner.iteration[0]))
+        if latest is not None:
+            run.save(checkpoint.name, "checkpoint", latest, settings=dataclasses.asdict(config))
 
     def report(steps, state, metrics):
         nonlocal latest, success

@@ -49,6 +49,12 @@ def pick_devices(config: ppo.PpoConfig) -> list[Any]:
     )]  # fmt: skip
 
 
+@jax.jit
+def _finite(tree: Any) -> jax.Array:
+    """Are all numbers of a pytree finite?"""
+    return jnp.all(jnp.stack([jnp.all(jnp.isfinite(a)) for a in jax.tree.leaves(tree)]))
+
+
 class Programs:
     """The compiled parts of one PPO training, over some devices."""
 
@@ -149,6 +155,9 @@ def train(
         values = jax.device_get(metrics)
         steps = (iteration + 1) * config.steps_per_iteration
         broken = [k for k, v in values.items() if not np.isfinite(v).all()]
+        if not jax.device_get(_finite(learner.params)):
+            # the last gradient step of an update shows in its parameters only
+            broken.append("parameters")
         if broken:
             raise TrainingError(f"training broke at step {steps}: {', '.join(broken)} not finite")
         if report:
