@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: MIT
+"""The paper's own world, against C MuJoCo and SciPy."""
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from hybrid_jax.kernels import dualquat as dq
+from hybrid_jax.planner.harvest import Segments
+from hybrid_jax.simulation.paperreach import PaperReachConfig, PaperReachWorld, euler
+
+
+@pytest.fixture(scope="module")
+def world(cell, configurations):
+    scene = jax.tree.map(lambda a: jnp.broadcast_to(a, (8, *a.shape)), cell.scene)
+    return PaperReachWorld(
+        cell, Segments(scene, jnp.asarray(configurations[:8]), jnp.asarray(configurations[8:16]))
+    )
+
+
+def action_to(cell, q):
+    low, high = np.asarray(cell.joint_limits).T
+    return jnp.asarray(2 * (q - low) / (high - low) - 1, jnp.float32)
+
+
+def test_euler_angles_agree_with_scipy():
+    rotations = Rotation.random(200, rng=np.random.default_rng(0))
+    found = euler(jnp.asarray(rotations.as_quat(scalar_first=True)))
+    back = Rotation.from_euler("xyz", np.asarray(found, float))
+    assert (back * rotations.inv()).magnitude().max() < 2e-3
+
+
+def test_observation_has_the_papers_numbers_in_the_papers_order(cell, world, configurations):
+    """JP of every link, velocities of a known step, the goal, 25 rays."""
+    state = world.start(jnp.int32(0), jnp.asarray(configurations[0]))
+    state = jax.jit(world.step)(state, action_to(cell, configurations[1])).state
+    obs = np.asarray(world.observe(state))
+    assert obs.shape == (12 * 7 + 31,)
+    data, layout = mujoco.MjData(cell.model), cell.source.layout
+    places = []
+    for q in configurations[:2]:
+        data.qpos[list(layout.qpos)] = q
+        mujoco.mj_forward(cell.model, data)
+        ids = [cell.model.joint(name).bodyid[0] for name in cell.joint_names]
+        places.append(data.xpos[ids].copy())
+    np.testing.assert_allclose(obs[:21].reshape(7, 3), places[1], atol=1e-4)
+    velocity = (places[1] - places[0]) / world.config.period
+    np.testing.assert_allclose(obs[42:63].reshape(7, 3), velocity, atol=2e-3)
+    np.testing.assert_allclose(obs[84:87], dq.position(world.goal_pose[0]), atol=1e-6)
+    assert (obs[-25:] >= 0).all() and (obs[-25:] <= 1).all()
+
+
+def test_reward_is_fea_minus_distance_outside_the_ball_and_a_tenth_inside(cell, world):
+    goals = world.segments.goal
+    step = jax.jit(world.step)
+    inside = step(world.start(jnp.int32(0), world.segments.start[0]), action_to(cell, goals[0]))
+    assert bool(inside.terminated) and float(inside.reward) == pytest.approx(0.1)
+    for i in range(1, 8):
+        move = step(world.start(jnp.int32(i), world.segments.start[i]), action_to(cell, goals[0]))
+        distance, hit = float(move.facts["distance"]), float(move.facts["collision"])
+        fea = float(world.feasibility(jnp.int32(i), goals[0])[0])
+        assert fea == 0 if hit else fea > 0
+        expected = 0.1 if distance < 0.25 else fea - distance
+        assert float(move.reward) == pytest.approx(expected, abs=1e-4)
+        assert bool(move.terminated) == (distance < 0.25)
+
+
+def test_the_rivals_reward_is_the_distance_in_joint_space(cell, world):
+    pure = PaperReachWorld(cell, world.segments, PaperReachConfig(reward="distance"))
+    start = world.segments.start[1]
+    move = pure.step(pure.start(jnp.int32(2), start), action_to(cell, start))
+    assert not bool(move.terminated)
+    away = np.linalg.norm(np.asarray(world.segments.goal[2] - start))
+    assert float(move.reward) == pytest.approx(-away, abs=1e-3)
+
+
+def test_to_the_letter_the_agent_does_not_see_its_goal(cell, world):
+    blind = PaperReachWorld(cell, world.segments, PaperReachConfig(target="ee"))
+    q = world.segments.start[0]
+    first, second = (np.asarray(blind.observe(blind.start(jnp.int32(i), q))) for i in (0, 1))
+    np.testing.assert_array_equal(first[:90], second[:90])
+    seen = [np.asarray(world.observe(world.start(jnp.int32(i), q)))[84:90] for i in (0, 1)]
+    assert np.abs(seen[0] - seen[1]).max() > 1e-2
+
+
+def test_a_singular_home_is_refused(cell, world):
+    straight = cell.replace(home=jnp.zeros(7))
+    with pytest.raises(ValueError, match="manipulability at home"):
+        PaperReachWorld(straight, world.segments)
