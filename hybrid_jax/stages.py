@@ -116,8 +116,8 @@ def training_segments(run: Run, quiet: bool) -> harvest.Segments:
     path = run.path("segments.npz")
     if not path.is_file():
         found = collect_segments(run, "collect", TRAINING_TASKS, run.preset.tasks, quiet)
-        run.save(path.name, "infeasible segments", found)
-    _, state = run.load(path.name, "infeasible segments")
+        run.save(path.name, "segments", found)
+    _, state = run.load(path.name, "segments")
     scene = artifacts.restore(run.cell.scene, state["scene"])
     segments = harvest.Segments(scene, state["start"], state["goal"])
     segments = jax.tree.map(jnp.asarray, segments)
