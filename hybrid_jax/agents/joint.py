@@ -76,10 +76,11 @@ def rollouts(
         the goal, and whether each reached it.
     """
     segments, count = world.segments, len(index)
+    wanted = count if enough is None else min(enough, count)
 
     def going(carry):
         step, _, reached, _ = carry
-        return (step < world.config.horizon) & (jnp.sum(reached) < (enough or count))
+        return (step < world.config.horizon) & (jnp.sum(reached) < wanted)
 
     def advance(carry):
         step, state, reached, q = carry

@@ -91,7 +91,6 @@ def step_reward(before: Array, after: Array, config: SwitchConfig) -> Array:
 class SwitchWorld:
     """A `World` (see `agents.worlds`) of combined trajectories."""
 
-    discrete = True
     action_size = 2
 
     def __init__(self, problems: Combined, config: SwitchConfig = SwitchConfig()):

@@ -37,7 +37,6 @@ class World(Protocol):
 
     observation_size: int
     action_size: int
-    discrete: bool
 
     def begin(self, key: PRNGKeyArray) -> Any:
         """State at the start of an episode."""
