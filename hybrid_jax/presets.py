@@ -10,6 +10,7 @@ from hybrid_jax.agents.ppo import PpoConfig
 from hybrid_jax.agents.switching import SwitchConfig
 from hybrid_jax.feasibility.grid import MapConfig
 from hybrid_jax.planner.pipeline import PlannerConfig
+from hybrid_jax.simulation.paperreach import PaperReachConfig
 from hybrid_jax.skills.library import SkillConfig
 
 
@@ -24,7 +25,7 @@ class Preset:
     planner: PlannerConfig = PlannerConfig()
     task_planner: Literal["exact", "learned"] = "exact"
     """What segments a task and picks skills: the shortest path, or the hierarchical DQN."""
-    tasks: int = 60
+    tasks: int = 100
     """Random tasks from which the agents' training data come."""
     held_out: int = 20
     """Further tasks, on which nothing is trained."""
@@ -35,7 +36,9 @@ class Preset:
 
 
 DEFAULT = Preset(
-    joint=JointAgentConfig(training=PpoConfig(steps=2_000_000)),
+    joint=replace(
+        JointAgentConfig(), training=replace(JointAgentConfig().training, steps=2_000_000)
+    ),
 )
 """Ends in a few minutes on two cores."""
 
@@ -49,15 +52,16 @@ PAPER = Preset(
     joint=JointAgentConfig(
         training=PpoConfig(
             steps=1_000_000,
-            envs=32,
-            unroll=64,
+            envs=128,
+            unroll=16,
             epochs=10,
             minibatch=64,
             learning_rate=3e-4,
             discount=0.99,
             entropy=0.0,
             hidden=(64, 64),
-        )
+        ),
+        reach=PaperReachConfig(),
     ),
     switch=SwitchConfig(
         jump=0.0,
@@ -76,7 +80,6 @@ PAPER = Preset(
         ),
     ),
     planner=PlannerConfig(skills=SkillConfig(map="ugp_blend", distance="euclidean")),
-    tasks=100,
 )
 """The paper's tables, maps and distances; see docs/differences.md for what still differs."""
 

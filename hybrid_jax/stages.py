@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hybrid_jax import artifacts, pictures
-from hybrid_jax.agents import controllers, dqn, joint, ppo, switching, training
+from hybrid_jax.agents import controllers, dqn, joint, programs, switching, training
 from hybrid_jax.errors import RunFolderError, TrainingError
 from hybrid_jax.feasibility import building
 from hybrid_jax.feasibility.judging import Reason
@@ -23,7 +23,6 @@ from hybrid_jax.planner.pipeline import plan_motion
 from hybrid_jax.progress import Progress
 from hybrid_jax.runfolder import Run
 from hybrid_jax.simulation.execution import execute, start_data
-from hybrid_jax.simulation.reach import ReachWorld
 from hybrid_jax.skills.costs import SegmentCosts, pad_task, segment_costs
 from hybrid_jax.skills.segmentation import optimal_costs
 from hybrid_jax.skills.task import handling_task, random_task, require_handling, sample_scene
@@ -125,7 +124,7 @@ def training_segments(run: Run, quiet: bool) -> harvest.Segments:
     return segments
 
 
-def _read_checkpoint(run: Run, name: str, world, net, config: ppo.PpoConfig) -> training.Training:
+def _read_checkpoint(run: Run, name: str, world, net, config: programs.Config) -> training.Training:
     """A training where it stopped.
 
     Raises:
@@ -140,12 +139,12 @@ def _read_checkpoint(run: Run, name: str, world, net, config: ppo.PpoConfig) -> 
                 f"{run.path(name)} was trained with {setting} {was}, now {value}: delete it to "
                 f"train anew, or go on with the preset that it was made with"
             )
-    fresh = training.Programs(world, net, config).start((config.seed,))
+    fresh = programs.make_programs(world, net, config).start((config.seed,))
     return jax.tree.map(jnp.asarray, artifacts.restore(fresh, saved))
 
 
-def _train_ppo(
-    run: Run, stage: str, world, net, config: ppo.PpoConfig, quiet: bool, every: int = 20
+def _train_agent(
+    run: Run, stage: str, world, net, config: programs.Config, quiet: bool, every: int = 20
 ) -> training.Training:
     """Train with progress, metrics and checkpoints; goes on from a checkpoint if there is one."""
     checkpoint = run.path(f"{stage}_checkpoint.npz")
@@ -183,8 +182,8 @@ def run_drl(run: Run, quiet: bool) -> dict:
     config = run.preset.joint
     segments = training_segments(run, quiet)
     net = joint.make_net(run.cell, config)
-    state = _train_ppo(
-        run, "drl", ReachWorld(run.cell, segments, config.reach), net, config.training, quiet
+    state = _train_agent(
+        run, "drl", joint.make_world(run.cell, segments, config), net, config.training, quiet
     )
     policy = state.policy()
     test = collect_segments(run, "collect", HELD_OUT_TASKS, run.preset.held_out, quiet)
@@ -199,7 +198,7 @@ def run_drl(run: Run, quiet: bool) -> dict:
     pictures.draw_curves(
         run.path("drl.png"),
         run.metrics("drl"),
-        "DRL-Feasibility (PPO)",
+        "DRL-Feasibility",
         "environment steps",
         ("success", "reward"),
     )
@@ -231,7 +230,7 @@ def run_switch(run: Run, quiet: bool) -> dict:
     config = run.preset.switch
     problems = combined_problems(run, quiet)
     net = switching.make_net(run.cell.home.size, config)
-    state = _train_ppo(
+    state = _train_agent(
         run, "switch", switching.SwitchWorld(problems, config), net, config.training, quiet
     )
     policy = state.policy()

@@ -89,6 +89,7 @@ def test_advantages_by_hand():
             "last_obs": jnp.array([[4.0]]),
             "action": jnp.zeros((2, 1)),
             "log_prob": jnp.zeros((2, 1)),
+            "kept": None,
         }
         found = ppo.judge(net, config, learner, data)
         last = 2.0 + 0.9 * beyond - 0.25

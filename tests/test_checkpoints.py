@@ -9,7 +9,7 @@ import pytest
 from test_agents import SMALL, Track
 
 from hybrid_jax import stages
-from hybrid_jax.agents import networks, training
+from hybrid_jax.agents import networks, programs, training
 from hybrid_jax.errors import RunFolderError
 from hybrid_jax.runfolder import Run
 
@@ -23,7 +23,7 @@ def make_run(cell, folder):
 
 def train(run, config=CONFIG):
     net = networks.make_networks(1, 1, config.hidden, discrete=False)
-    return stages._train_ppo(run, "drl", Track(), net, config, quiet=True, every=2)
+    return stages._train_agent(run, "drl", Track(), net, config, quiet=True, every=2)
 
 
 @pytest.fixture
@@ -86,8 +86,7 @@ def other_cell(cell):
 def test_parameters_that_are_not_finite_stop_a_training():
     """Even where every reported number still is: the last gradient step shows only in them."""
     net = networks.make_networks(1, 1, CONFIG.hidden, discrete=False)
-    programs = training.Programs(Track(), net, CONFIG)
-    params = programs.start((0,)).learner.params
+    params = programs.make_programs(Track(), net, CONFIG).start((0,)).learner.params
     assert bool(training._finite(params))
     broken = jax.tree.map(lambda a: a.at[..., -1].set(np.nan), params)
     assert not bool(training._finite(broken))

@@ -9,10 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from hybrid_jax.agents import networks, ppo, worlds
+from hybrid_jax.agents import networks, ppo, sac, worlds
 from hybrid_jax.kernels.collision import clearance
 from hybrid_jax.kernels.edges import edge_is_free
 from hybrid_jax.planner.harvest import Segments, refuse_infeasible, single_segment
+from hybrid_jax.simulation.paperreach import PaperReachConfig, PaperReachWorld
 from hybrid_jax.simulation.reach import ReachConfig, ReachWorld
 from hybrid_jax.types import Scene, Workcell
 
@@ -29,8 +30,10 @@ WIDEST = 1.5
 class JointAgentConfig:
     """Training and use of the joint-space agent."""
 
-    training: ppo.PpoConfig = ppo.PpoConfig()
-    reach: ReachConfig = ReachConfig()
+    training: ppo.PpoConfig | sac.SacConfig = ppo.PpoConfig(epochs=2, entropy=0.0)
+    """Their type says which algorithm trains."""
+    reach: ReachConfig | PaperReachConfig = ReachConfig()
+    """Their type says which world it learns in."""
     rollouts: int = 64
     """Rollouts of one planning call."""
     enough: int = 16
@@ -45,15 +48,32 @@ class JointAgentConfig:
     """Planning calls before the agent gives up."""
 
 
+def _world_kind(config: JointAgentConfig) -> type[ReachWorld] | type[PaperReachWorld]:
+    return PaperReachWorld if isinstance(config.reach, PaperReachConfig) else ReachWorld
+
+
+def make_world(
+    cell: Workcell, segments: Segments, config: JointAgentConfig
+) -> ReachWorld | PaperReachWorld:
+    """The world of the agent with some segments."""
+    return _world_kind(config)(cell, segments, config.reach)
+
+
+def observation_length(cell: Workcell, config: JointAgentConfig) -> int:
+    """How many numbers the agent sees."""
+    return _world_kind(config).observation_length(cell)
+
+
 def make_net(cell: Workcell, config: JointAgentConfig) -> networks.ActorCritic:
     """Networks of the agent for a robot."""
-    return networks.make_networks(
-        ReachWorld.observation_length(cell), cell.home.size, config.training.hidden, discrete=False
-    )
+    sizes = observation_length(cell, config), cell.home.size, config.training.hidden
+    if isinstance(config.training, sac.SacConfig):
+        return sac.make_networks(*sizes)
+    return networks.make_networks(*sizes, discrete=False)
 
 
 def rollouts(
-    world: ReachWorld,
+    world: ReachWorld | PaperReachWorld,
     net: networks.ActorCritic,
     policy: networks.Policy,
     index: Array,
@@ -119,7 +139,7 @@ def success_rates(
 
     @jax.jit
     def run(policy, segments, key):
-        world = ReachWorld(cell, segments, config.reach)
+        world = make_world(cell, segments, config)
         return rollouts(world, net, policy, index, spread, key)[1]
 
     reached = np.asarray(run(policy, segments, key))
@@ -162,7 +182,7 @@ def make_bridger(
 
     @jax.jit
     def run(policy, segments, key):
-        world = ReachWorld(cell, segments, config.reach)
+        world = make_world(cell, segments, config)
         index = jnp.zeros(config.rollouts, int)
         q, reached = rollouts(world, net, policy, index, spread, key, config.enough)
         scene = jax.tree.map(lambda a: a[0], segments.scene)

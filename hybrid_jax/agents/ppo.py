@@ -119,21 +119,29 @@ def collect(world, net: ActorCritic, config: PpoConfig, learner: Learner, copies
     return copies, data
 
 
+def _mean_of(kept: Array | None):
+    """Mean over the samples that count."""
+    if kept is None:
+        return jnp.mean
+    return lambda values: jnp.sum(kept * values) / jnp.maximum(jnp.sum(kept), 1.0)
+
+
 def _loss(params, net: ActorCritic, normalizer, batch, config: PpoConfig, key):
     """Clipped surrogate, value and entropy terms; returns each beside the sum."""
     logits = net.policy.apply(normalizer, params["policy"], batch["obs"])
     values = net.value.apply(normalizer, params["value"], batch["obs"])
     ratio = jnp.exp(net.actions.log_prob(logits, batch["action"]) - batch["log_prob"])
-    advantage = batch["advantage"]
-    advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+    mean = _mean_of(batch["kept"])
+    advantage = batch["advantage"] - mean(batch["advantage"])
+    advantage = advantage / (jnp.sqrt(mean(advantage**2)) + 1e-8)
     clipped = jnp.clip(ratio, 1 - config.clip, 1 + config.clip)
     terms = {
-        "policy_loss": -jnp.mean(jnp.minimum(ratio * advantage, clipped * advantage)),
-        "value_loss": config.value * jnp.mean((values - batch["target"]) ** 2),
+        "policy_loss": -mean(jnp.minimum(ratio * advantage, clipped * advantage)),
+        "value_loss": config.value * mean((values - batch["target"]) ** 2),
     }
     if config.entropy:  # an estimate that nothing weighs would take a third of the step
         entropy = net.actions.entropy(logits, key)
-        terms["entropy_loss"] = -config.entropy * jnp.mean(entropy)
+        terms["entropy_loss"] = -config.entropy * mean(entropy)
     return sum(terms.values()), terms
 
 
@@ -146,7 +154,7 @@ def judge(net: ActorCritic, config: PpoConfig, learner: Learner, data) -> dict[s
         jnp.zeros_like(values), data["terminated"], data["reward"], values, last,
         config.gae_lambda, config.discount,
     )  # fmt: skip
-    samples = {k: data[k] for k in ("obs", "action", "log_prob")}
+    samples = {k: data[k] for k in ("obs", "action", "log_prob", "kept")}
     samples |= {"advantage": advantage, "target": target}
     return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), samples)
 
@@ -181,11 +189,9 @@ def improve(net: ActorCritic, config: PpoConfig, learner: Learner, samples, key:
 
 def report(data, terms) -> dict[str, Array]:
     """Means over all copies: of reward, loss terms, facts, and of the episodes that ended."""
-    ended = jax.lax.psum(jnp.sum(data["terminated"]) + jnp.sum(data["cut"]), AXIS)
-    shares = {"success": jnp.sum(data["success"]), "return": jnp.sum(data["reward"])}
-    shares = {k: jax.lax.psum(v, AXIS) / jnp.maximum(ended, 1.0) for k, v in shares.items()}
     means = jax.tree.map(jnp.mean, {"reward": data["reward"], **data["facts"], **terms})
-    return jax.lax.pmean(means, AXIS) | shares | {"episodes": ended}
+    sums = jax.lax.psum(worlds.episode_sums(data), AXIS)
+    return jax.lax.pmean(means, AXIS) | worlds.episode_means(sums)
 
 
 def update(net: ActorCritic, config: PpoConfig, learner: Learner, data, key: Array, parts: int):

@@ -30,6 +30,8 @@ class Move:
     """True where it ended well."""
     facts: dict[str, Array]
     """Further numbers to be reported: their means over all steps."""
+    kept: Array | None = None
+    """0 where the agent is not to learn from this step; None: it learns from all."""
 
 
 class World(Protocol):
@@ -94,7 +96,7 @@ def rollout(
 
     Returns:
         The copies, and `[step, copy]` arrays: `obs`, `reward`, `terminated`, `success`, `facts`,
-        and what `choose` keeps.
+        `kept`, and what `choose` keeps.
     """
     count = copies.obs.shape[0]
     key_spare, key_steps = jax.random.split(key)
@@ -112,6 +114,7 @@ def rollout(
             "terminated": move.terminated.astype(jnp.float32),
             "success": move.success.astype(jnp.float32),
             "facts": move.facts,
+            "kept": move.kept,
             **kept,
         }
 
@@ -123,3 +126,18 @@ def cut_overdue(world: World, copies: Copies, key: PRNGKeyArray) -> tuple[Copies
     overdue = jax.vmap(world.overdue)(copies.state)
     fresh = start_copies(world, key, copies.obs.shape[0])
     return choose_states(overdue, fresh, copies), overdue
+
+
+def episode_sums(data: dict[str, Any]) -> dict[str, Array]:
+    """Over a rollout: episodes that ended, those that ended well, and the rewards of all steps."""
+    return {
+        "episodes": jnp.sum(data["terminated"]) + jnp.sum(data["cut"]),
+        "success": jnp.sum(data["success"]),
+        "return": jnp.sum(data["reward"]),
+    }
+
+
+def episode_means(sums: dict[str, Array]) -> dict[str, Array]:
+    """How many episodes ended, and their share of successes and mean return."""
+    ended = sums["episodes"]
+    return {k: v / jnp.maximum(ended, 1.0) for k, v in sums.items()} | {"episodes": ended}

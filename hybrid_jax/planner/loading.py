@@ -15,7 +15,6 @@ from hybrid_jax.feasibility.building import load_map
 from hybrid_jax.planner.lfd import SkillChooser, optimal_chooser
 from hybrid_jax.planner.pipeline import Planner, Switcher
 from hybrid_jax.runfolder import Run
-from hybrid_jax.simulation.reach import ReachWorld
 from hybrid_jax.skills.demonstration import load_demonstrations
 from hybrid_jax.skills.library import SkillLibrary, build_library
 from hybrid_jax.workcell.assets import demonstrations_folder
@@ -86,7 +85,8 @@ def load_planner(run: Run, *, switch: str = "learned") -> Planner:
             )
     preset, cell = run.preset, run.cell
     net = joint.make_net(cell, preset.joint)
-    policy = load_policy(run, "drl.npz", "joint agent", net, ReachWorld.observation_length(cell))
+    size = joint.observation_length(cell, preset.joint)
+    policy = load_policy(run, "drl.npz", "joint agent", net, size)
     return Planner(
         cell=cell,
         library=read_library(run.skills),

@@ -24,6 +24,8 @@ from hybrid_jax.types import Workcell, pytree
 
 SINGULAR_HOME = 1e-4
 """Manipulability below which a home pose cannot be the unit of manipulability."""
+SEEN = 0.004
+"""Clearances are told apart up to this much above the margin [m]."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,10 @@ class PaperReachConfig:
     """Distance of the tool from the goal at which an episode ends [m]."""
     arrival: float = 0.1
     """Reward within that distance."""
+    drop_infeasible: bool = True
+    """Learn from feasible transitions only (Algorithm 3, line 6)."""
+    margin: float = 0.0
+    """Clearance below which a configuration is infeasible [m]."""
     horizon: int = 200
     """Steps after which an episode may be cut."""
     period: float = 0.1
@@ -87,14 +93,20 @@ class PaperReachWorld:
         """
         self.cell, self.segments, self.config = cell, segments, config
         self.goal_pose = jax.vmap(tool_pose, (None, 0))(cell, segments.goal)
-        self.unit = float(manipulability(cell, cell.home))
+        with jax.ensure_compile_time_eval():  # a number, also where a program is being traced
+            self.unit = float(manipulability(cell, cell.home))
         if self.unit < SINGULAR_HOME:
             raise ValueError(
                 f"manipulability at home is {self.unit:.2g}: preset 'paper' divides by it; choose "
                 f"a home pose away from singularities, or another preset"
             )
         self.action_size = cell.home.size
-        self.observation_size = 12 * cell.home.size + 6 + RAY_COUNT
+        self.observation_size = self.observation_length(cell)
+
+    @staticmethod
+    def observation_length(cell: Workcell) -> int:
+        """Length of an observation in a cell: 12 n + 31."""
+        return 12 * cell.home.size + 6 + RAY_COUNT
 
     def _inside(self, segment: Array) -> Workcell:
         scene = jax.tree.map(lambda a: a[segment], self.segments.scene)
@@ -128,7 +140,8 @@ class PaperReachWorld:
 
     def feasibility(self, segment: Array, q: Array) -> tuple[Array, Array]:
         """fea = RH man' (1 - COL), and COL. Any action is within the limits, so RH is 1."""
-        hit = 1.0 * (clearance_up_to(self._inside(segment), q, 0.004) < 0)
+        margin = self.config.margin
+        hit = 1.0 * (clearance_up_to(self._inside(segment), q, margin + SEEN) < margin)
         return manipulability(self.cell, q) / self.unit * (1 - hit), hit
 
     def step(self, state: PaperReachState, action: Array) -> Move:
@@ -144,4 +157,5 @@ class PaperReachWorld:
         reward = jnp.where(arrived, self.config.arrival, going)
         after = PaperReachState(q, frames, state.frames, state.segment, state.step + 1)
         facts = {"collision": hit, "distance": distance}
-        return Move(after, reward, arrived, arrived & (hit == 0), facts)
+        kept = 1 - hit if self.config.drop_infeasible else None
+        return Move(after, reward, arrived, arrived & (hit == 0), facts, kept)

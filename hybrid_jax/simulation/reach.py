@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Kinematic reaching among obstacles: the world of the joint-space agent (paper, section MDP).
+"""Reaching among obstacles: the world of the joint-space agent (paper, section MDP).
 
 Everything runs on the kernels, so thousands of copies live in one compiled program. A move that
 would bring the robot closer than the margin is not made: a rollout's way points are always free.
+With `physics="mjx"` the arm's servos carry out a move, in dynamics, and it ends where they get to.
 
 One choice makes it learnable in a minute: the action corrects a straight step towards the goal and
 fades out beside it. So an untrained agent already solves what a straight line solves, and ends
@@ -12,6 +13,7 @@ follows an expert's path nor starts along that path made a difference: there are
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +25,7 @@ from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.collision import clearance_up_to, points_between
 from hybrid_jax.kernels.kinematics import tool_pose
 from hybrid_jax.planner.harvest import Segments
+from hybrid_jax.simulation.servos import Body, Servos
 from hybrid_jax.types import Workcell, pytree
 from hybrid_jax.workcell.mjxcollision import backend
 
@@ -49,6 +52,10 @@ class ReachConfig:
     """Clearance checks along a move."""
     backend: str = "fused"
     """What checks collisions: `fused` (our kernels) or `mjx` (without the payload)."""
+    physics: Literal["kinematic", "mjx"] = "kinematic"
+    """What a move is: a step of the joints, or the arm's servos commanded for `period`."""
+    period: float = 0.1
+    """Time of a move in dynamics [s]."""
     horizon: int = 96
     """Steps after which an episode may be cut."""
     step_cost: float = 0.02
@@ -75,6 +82,8 @@ class ReachState:
     """Steps since the start."""
     potential: Array
     """Minus the distance to go [rad]."""
+    body: Body | None
+    """In dynamics, all bodies of the copy."""
 
 
 def rotation_6d(quat: Float[Array, "4"]) -> Float[Array, "6"]:
@@ -96,6 +105,7 @@ class ReachWorld:
         self.goal_pose = jax.vmap(tool_pose, (None, 0))(cell, segments.goal)
         self.action_size = cell.home.size
         self.observation_size = self.observation_length(cell)
+        self.servos = Servos(cell, config.period) if config.physics == "mjx" else None
 
     @staticmethod
     def observation_length(cell: Workcell) -> int:
@@ -144,7 +154,8 @@ class ReachWorld:
         zero = jnp.zeros((), jnp.int32)
         margin = jnp.float32(self.config.margin)
         pose = tool_pose(self.cell, q)
-        return ReachState(q, pose, segment, margin, zero, self.potential(segment, q))
+        body = self.servos and self.servos.rest(self._scene(segment), q)
+        return ReachState(q, pose, segment, margin, zero, self.potential(segment, q), body)
 
     def begin(self, key: PRNGKeyArray) -> ReachState:
         """A random problem, from its start."""
@@ -190,7 +201,10 @@ class ReachWorld:
         samples = points_between(state.q, wanted, rules.edge_samples)
         gap = self.gap(self._scene(state.segment), samples)
         free = gap >= rules.margin
-        q = jnp.where(free, wanted, state.q)
+        q, body = jnp.where(free, wanted, state.q), None
+        if self.servos:
+            body = self.servos.move(state.body, q)
+            q = self.servos.configuration(body)
         pose = tool_pose(self.cell, q)
         reached = self.reached(state.segment, q, pose)
         potential = self.potential(state.segment, q)
@@ -201,5 +215,5 @@ class ReachWorld:
             - rules.blocked_cost * ~free
             + rules.success_bonus * reached
         )
-        after = ReachState(q, pose, state.segment, gap, state.step + 1, potential)
+        after = ReachState(q, pose, state.segment, gap, state.step + 1, potential, body)
         return Move(after, reward, reached, reached, {"blocked": 1.0 - free})

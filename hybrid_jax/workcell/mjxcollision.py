@@ -46,7 +46,7 @@ def _object_poses(cell: Workcell) -> Float[Array, "object 7"]:
     return jnp.concatenate([placed[:, :3] - dq.quat_rotate(turn, local[:, :3]), turn], axis=1)
 
 
-def _state(cell: Workcell, q: Array) -> Array:
+def scene_qpos(cell: Workcell, q: Array) -> Array:
     """`[nq]` the arm at `q`, the fingers at the scene's opening, the objects at its poses."""
     model, layout = cell.source.model, cell.source.layout
     qpos = jnp.asarray(home_qpos(model), jnp.float32).at[jnp.array(layout.qpos)].set(q)
@@ -65,7 +65,7 @@ def closest(cell: Workcell, q: Float[Array, "n"]) -> tuple[Float[Array, ""], Boo
     The counterpart of `kernels.collision.closest`.
     """
     model, data = _put(cell.source)
-    data = _mjx().kinematics(model, data.replace(qpos=_state(cell, q)))
+    data = _mjx().kinematics(model, data.replace(qpos=scene_qpos(cell, q)))
     contact = _mjx().collision(model, data)._impl.contact
     moved = jnp.asarray(np.asarray(moved_geoms(cell.source.model, cell.source.layout)))
     ours = moved[contact.geom]

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: MIT
+"""Segments for the joint agent: to train on, to be tested on, and pairs of the whole work space.
+
+The test takes infeasible segments of tasks that nothing was tuned on, those that RRT-Connect
+solves: an agent that fails on one of them fails on something that can be done.
+"""
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hybrid_jax import artifacts
+from hybrid_jax.feasibility.building import build_feasibility_map
+from hybrid_jax.kernels.collision import clearance
+from hybrid_jax.planner.harvest import Segments, harvest
+from hybrid_jax.planner.lfd import optimal_chooser
+from hybrid_jax.planner.loading import read_library
+from hybrid_jax.presets import DEFAULT, SMOKE
+from hybrid_jax.progress import Progress
+from hybrid_jax.rrt import plan_paths
+from hybrid_jax.types import Workcell, pytree
+
+TRAINING, UNSEEN = 10_000, 80_000
+"""Seeds of the first tasks."""
+TRAINING_TASKS = 100
+HELD_OUT = 500
+"""Segments of the test."""
+PAIRS = 4096
+"""Start/goal pairs of the whole work space."""
+ROOM = 0.01
+"""Clearance of the ends of these pairs [m]."""
+
+
+@pytree
+class Problems:
+    """What the agents of the benchmark train and are tested on."""
+
+    training: Segments
+    """Infeasible segments of 100 random tasks."""
+    everywhere: Segments
+    """Random pairs of free configurations, each in the scene of a training segment."""
+    held_out: Segments
+    """Infeasible segments of unseen tasks, all solvable."""
+
+
+def take(segments: Segments, index) -> Segments:
+    """Some of the segments."""
+    return jax.tree.map(lambda a: a[index], segments)
+
+
+def join(parts: list[Segments]) -> Segments:
+    """Several sets as one."""
+    return jax.tree.map(lambda *a: jnp.concatenate(a), *parts)
+
+
+def collect(cell: Workcell, scale: float, first: int, count: int) -> Segments:
+    """Infeasible segments of `count` random tasks."""
+    return harvest(
+        cell, read_library(), optimal_chooser, DEFAULT.planner.skills, DEFAULT.planner.labels,
+        scale, tasks=range(first, first + count), seed=0, progress=Progress("collect", "tasks"),
+    )  # fmt: skip
+
+
+def solvable(cell: Workcell, segments: Segments, batch: int = 64) -> np.ndarray:
+    """Which segments RRT-Connect solves."""
+    count, solved = segments.start.shape[0], []
+    for low in range(0, count, batch):
+        index = np.minimum(np.arange(low, low + batch), count - 1)  # one shape, one program
+        part = take(segments, index)
+        paths = plan_paths(cell, part.scene, part.start, part.goal, key=jax.random.key(low))
+        solved += [path is not None for path in paths]
+    return np.array(solved[:count])
+
+
+def unseen(cell: Workcell, scale: float) -> Segments:
+    """The segments of the test."""
+    parts, found, tried, first = [], 0, 0, UNSEEN
+    while found < HELD_OUT:
+        segments = collect(cell, scale, first, 30)
+        good = solvable(cell, segments)
+        parts.append(take(segments, np.flatnonzero(good)))
+        found, tried, first = found + int(good.sum()), tried + len(good), first + 30
+    print(f"held out: {found} of {tried} segments of {first - UNSEEN} tasks are solvable")
+    return take(join(parts), slice(HELD_OUT))
+
+
+def pairs(cell: Workcell, scenes: Segments, count: int = PAIRS) -> Segments:
+    """Random start/goal pairs of the whole work space, free in the scene of a segment."""
+    rng = np.random.default_rng(0)
+    low, high = np.asarray(cell.joint_limits, np.float32).T
+    gap = jax.jit(jax.vmap(lambda scene, q: clearance(cell.replace(scene=scene), q)))
+    found, size = [], 0
+    while size < count:
+        index = rng.integers(0, scenes.start.shape[0], 4096)
+        scene = take(scenes, index).scene
+        ends = rng.uniform(low, high, (2, 4096, len(low))).astype(np.float32)
+        free = np.flatnonzero(np.all([gap(scene, q) > ROOM for q in ends], axis=0))
+        found.append(take(Segments(scene, *jnp.asarray(ends)), free))
+        size += len(free)
+    return take(join(found), slice(count))
+
+
+def draw(cell: Workcell) -> Problems:
+    """All of them, from scratch."""
+    # the scale is drawn from random configurations: any grid will do
+    scale = float(build_feasibility_map(cell, SMOKE.map).manipulability_scale)
+    training = collect(cell, scale, TRAINING, TRAINING_TASKS)
+    return Problems(training, pairs(cell, training), unseen(cell, scale))
+
+
+def problems(cell: Workcell, file: Path | None) -> Problems:
+    """From a file if it is there, else from scratch (and into the file)."""
+    if file and file.is_file():
+        state = artifacts.load(file, "problems", cell.source.digest)[1]
+        scene = jax.tree.map(lambda a: a[None], cell.scene)
+        template = Problems(*[Segments(scene, None, None)] * 3)
+        return jax.tree.map(jnp.asarray, artifacts.restore(template, state))
+    found = draw(cell)
+    if file:
+        artifacts.save(file, "problems", cell.source.digest, found)
+    return found
