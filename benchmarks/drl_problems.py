@@ -87,9 +87,13 @@ def unseen(cell: Workcell, scale: float) -> Segments:
 
 
 def pairs(cell: Workcell, scenes: Segments, count: int = PAIRS) -> Segments:
-    """Random start/goal pairs of the whole work space, free in the scene of a segment."""
-    rng = np.random.default_rng(0)
+    """Random start/goal pairs of the whole work space, free in the scene of a segment.
+
+    Every joint is within half a turn of home: further turns would only repeat poses.
+    """
+    rng, home = np.random.default_rng(0), np.asarray(cell.home)
     low, high = np.asarray(cell.joint_limits, np.float32).T
+    low, high = np.maximum(low, home - np.pi), np.minimum(high, home + np.pi)
     gap = jax.jit(jax.vmap(lambda scene, q: clearance(cell.replace(scene=scene), q)))
     found, size = [], 0
     while size < count:

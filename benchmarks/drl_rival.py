@@ -104,11 +104,9 @@ class Rival:
             policy_kwargs={"net_arch": list(config.hidden)}, device="cpu",
         )  # fmt: skip
 
-    def steps_per_second(self) -> float:
-        """Of training, over one more rollout and its update."""
-        began = time.perf_counter()
+    def train(self) -> None:
+        """One more rollout and its update."""
         self.agent.learn(self.rollout, reset_num_timesteps=False)
-        return self.rollout / (time.perf_counter() - began)
 
     def world_steps_per_second(self, count: int = 1000) -> float:
         """Of the world alone, with random actions."""

@@ -7,6 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import jax
+import numpy as np
+from scipy import stats
 
 
 def metric(key: str, value: float, unit: str, better: str, note: str = "") -> dict:
@@ -42,6 +44,15 @@ def race(runs: dict[str, tuple[Callable[[], object], int]], rounds: int = 8) -> 
         for name, (run, count) in runs.items():
             best[name] = max(best[name], rate(run, count, 0.5)[0])
     return best
+
+
+def interval(values) -> tuple[float, float]:
+    """Mean of a few independent values and half the width of its 95 % interval (Student's t)."""
+    values = np.asarray(values, float)
+    if len(values) < 2:
+        return float(values.mean()), float("nan")
+    half = stats.t.ppf(0.975, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values))
+    return float(values.mean()), float(half)
 
 
 def write(metrics: list[dict], path: Path | None) -> None:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Spread batches over the devices of a machine; on a CPU, over its cores."""
 
+import contextlib
 import os
 import re
 from pathlib import Path
@@ -16,7 +17,8 @@ def use_all_cores() -> None:
     XLA runs most kernels of this package on one core: each operation on a chunk is too small to
     be worth sharing. Call it first: once a device has been used it has no effect.
     """
-    jax.config.update("jax_num_cpu_devices", len(os.sched_getaffinity(0)))
+    with contextlib.suppress(RuntimeError):
+        jax.config.update("jax_num_cpu_devices", len(os.sched_getaffinity(0)))
 
 
 def vector_options() -> dict[str, int] | None:

@@ -38,8 +38,10 @@ def main(
     enable_compile_cache()
     # JAX is imported only now: --help and a mistyped name answer at once
     from hybrid_jax import runfolder  # noqa: PLC0415
+    from hybrid_jax.devices import use_all_cores  # noqa: PLC0415
     from hybrid_jax.stages import STAGE_FUNCTIONS  # noqa: PLC0415
 
+    use_all_cores()
     for stage in stages:
         if stage not in runfolder.STAGES:
             raise UnknownNameError("stage", stage, runfolder.STAGES)

@@ -68,7 +68,8 @@ def test_a_batch_of_physics_agrees_with_the_engine(cell):
         assert np.abs(wanted - start).max() > 1e-5, "something moved"
 
 
-TWO_JOINTS = """<mujoco><compiler angle="radian"/><option timestep=".004" integrator="implicitfast"/><worldbody>
+TWO_JOINTS = """<mujoco><compiler angle="radian"/>
+<option timestep=".004" integrator="implicitfast"/><worldbody>
 <geom name="post" type="box" size=".05 .05 .3" pos="-.3 .35 .2"/>
 <body name="upper" pos="0 0 .2"><joint name="a" range="-3 3" armature=".1"/>
 <geom name="upper" type="capsule" size=".03" mass="1" fromto="0 0 0 .3 0 0"/>

@@ -11,6 +11,7 @@ from hybrid_jax.errors import SegmentError
 from hybrid_jax.kernels.collision import clearance
 from hybrid_jax.kernels.edges import edge_is_free
 from hybrid_jax.planner.harvest import Segments, refuse_infeasible
+from hybrid_jax.simulation.paperreach import PaperReachConfig, PaperReachWorld
 from hybrid_jax.simulation.reach import ReachConfig, ReachWorld
 
 COUNT = 12
@@ -159,3 +160,31 @@ def test_a_wider_spread_is_bolder_and_none_is_the_mode(agent):
         for s in (0.0, 0.5, 1.0)
     ]
     assert away[0] < 1e-6 < away[1] < away[2]
+
+
+def test_planning_checks_moves_more_finely_than_training(cell, segments):
+    config = joint.JointAgentConfig()
+    trained, used = (make(cell, segments, config) for make in (joint.make_world,
+                                                               joint.planning_world))  # fmt: skip
+    assert trained.config.edge_samples == 2 and used.config.edge_samples == 4
+    paper = joint.JointAgentConfig(reach=PaperReachConfig())
+    assert isinstance(joint.planning_world(cell, segments, paper), PaperReachWorld)
+
+
+def test_the_papers_world_serves_the_planner_too(cell, segments):
+    """Its rollouts are traced like the others; what they return is checked as exactly."""
+    config = joint.JointAgentConfig(training=CONFIG.training, reach=PaperReachConfig(horizon=4))
+    net = joint.make_net(cell, config)
+    policy = networks.blank_policy(net, joint.observation_length(cell, config))
+    index, spread = jnp.arange(COUNT), jnp.ones(COUNT)
+
+    @jax.jit
+    def run(key):
+        world = joint.planning_world(cell, segments, config)
+        return joint.rollouts(world, net, policy, index, spread, key)
+
+    q, arrived = run(jax.random.key(0))
+    assert q.shape == (6, COUNT, 7) and arrived.shape == (COUNT,)
+    np.testing.assert_array_equal(q[-1], segments.goal)
+    low, high = np.asarray(cell.joint_limits).T
+    assert (q >= low - 1e-5).all() and (q <= high + 1e-5).all()

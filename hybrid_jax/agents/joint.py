@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
 """The DRL-Feasibility agent: trained on infeasible segments, used as best of many rollouts."""
 
+import functools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -46,6 +47,9 @@ class JointAgentConfig:
     """... up to this clearance [m]."""
     retries: int = 2
     """Planning calls before the agent gives up."""
+    edge_samples: int = 4
+    """Clearance checks along a move at planning time. Two are enough to learn from and cost half;
+    with two, one path in ten is refused by the exact check."""
 
 
 def _world_kind(config: JointAgentConfig) -> type[ReachWorld] | type[PaperReachWorld]:
@@ -57,6 +61,15 @@ def make_world(
 ) -> ReachWorld | PaperReachWorld:
     """The world of the agent with some segments."""
     return _world_kind(config)(cell, segments, config.reach)
+
+
+def planning_world(
+    cell: Workcell, segments: Segments, config: JointAgentConfig
+) -> ReachWorld | PaperReachWorld:
+    """The same as it is used for planning: with finer checks."""
+    if isinstance(config.reach, ReachConfig):
+        config = replace(config, reach=replace(config.reach, edge_samples=config.edge_samples))
+    return make_world(cell, segments, config)
 
 
 def observation_length(cell: Workcell, config: JointAgentConfig) -> int:
@@ -139,7 +152,7 @@ def success_rates(
 
     @jax.jit
     def run(policy, segments, key):
-        world = make_world(cell, segments, config)
+        world = planning_world(cell, segments, config)
         return rollouts(world, net, policy, index, spread, key)[1]
 
     reached = np.asarray(run(policy, segments, key))
@@ -170,7 +183,14 @@ def _moved(q: np.ndarray) -> np.ndarray:
 def make_bridger(
     cell: Workcell, net: networks.ActorCritic, policy: networks.Policy, config: JointAgentConfig
 ) -> Bridger:
-    """The trained agent as a function that the planner calls.
+    """The trained agent as a function that the planner calls: `make_bridging` of one policy."""
+    return functools.partial(make_bridging(cell, net, config), policy)
+
+
+def make_bridging(
+    cell: Workcell, net: networks.ActorCritic, config: JointAgentConfig
+) -> Callable[..., np.ndarray | None]:
+    """A function of a policy and of what a `Bridger` takes; its programs serve all policies.
 
     The shortest rollouts are ranked by length and clearance; the first whose every edge is proven
     free is returned.
@@ -182,7 +202,7 @@ def make_bridger(
 
     @jax.jit
     def run(policy, segments, key):
-        world = make_world(cell, segments, config)
+        world = planning_world(cell, segments, config)
         index = jnp.zeros(config.rollouts, int)
         q, reached = rollouts(world, net, policy, index, spread, key, config.enough)
         scene = jax.tree.map(lambda a: a[0], segments.scene)
@@ -200,7 +220,7 @@ def make_bridger(
         padded = np.concatenate([path, path[-1:].repeat(size - len(path), axis=0)])
         return bool(prove(scene, padded))
 
-    def bridge(scene, start, goal, key):
+    def bridge(policy, scene, start, goal, key):
         one = single_segment(scene, start, goal)
         refuse_infeasible(cell, one, 0.0)
         for attempt in range(config.retries):

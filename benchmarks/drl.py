@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: MIT
+"""DRL-Feasibility: speed against the paper's own stack, success on unseen segments, the comparison.
+
+    python -m benchmarks.drl --json FILE --picture FILE.png
+
+PyBullet and Stable-Baselines3 come with the extra `bench`; without them the ratios are left out,
+and it is said. About half an hour on two cores.
+"""
+
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import tyro
+
+import hybrid_jax as hj
+from benchmarks import drl_ablation, drl_default, drl_problems, drl_study
+from benchmarks.drl_trainings import Curve
+from benchmarks.report import interval, metric, race, write
+from hybrid_jax.agents import joint
+from hybrid_jax.agents.programs import make_programs
+from hybrid_jax.planner.harvest import Segments
+from hybrid_jax.presets import DEFAULT, PAPER
+from hybrid_jax.types import Workcell
+from hybrid_jax.workcell.load import load_workcell
+
+matplotlib.use("Agg")
+
+
+def rival(cell: Workcell, segments: Segments):
+    """The paper's stack, or None where it is not installed."""
+    try:
+        from benchmarks.drl_rival import Rival  # noqa: PLC0415
+    except ImportError as error:
+        print(f"{error.name} is not installed: ratios left out (pip install 'hybrid_jax[bench]')")
+        return None
+    return Rival(cell, segments, PAPER.joint.training)
+
+
+def speed(cell: Workcell, segments: Segments) -> list[dict]:
+    """Training steps per second of both presets and of the rival, in turns."""
+    runs, rows = {}, []
+    for name, preset in (("paper", PAPER), ("default", DEFAULT)):
+        config = preset.joint
+        world, net = joint.make_world(cell, segments, config), joint.make_net(cell, config)
+        programs = make_programs(world, net, config.training)
+        state = [programs.start((0,))]
+
+        def advance(programs=programs, state=state):
+            state[0], metrics = programs.advance(state[0])
+            return metrics
+
+        advance()
+        runs[name] = (advance, config.training.steps_per_iteration)
+    other = rival(cell, segments)
+    if other:
+        runs["sb3"] = (other.train, other.rollout)
+    best = race(runs)
+    for name in ("paper", "default"):
+        rows.append(metric(f"drl.train_{name}_steps_per_second", best[name], "1/s", "higher",
+                           "environment steps with learning, one seed"))  # fmt: skip
+    if other:
+        note = "Stable-Baselines3 + PyBullet, the paper's sizes"
+        rows.append(metric("drl.sb3_steps_per_second", best["sb3"], "1/s", "higher", note))
+        rows.append(metric("drl.sb3_env_steps_per_second", other.world_steps_per_second(), "1/s",
+                           "higher", "PyBullet's world alone"))  # fmt: skip
+        for name in ("paper", "default"):
+            rows.append(metric(f"drl.train_{name}_vs_sb3", best[name] / best["sb3"], "1", "higher",
+                               "environment steps/s with learning, in turns"))  # fmt: skip
+    return rows
+
+
+def draw(path: Path, paper: dict[str, Curve], default: Curve) -> None:
+    """Total reward and success against steps: means over seeds and their 95 % intervals."""
+    import matplotlib.pyplot as plt  # noqa: PLC0415
+
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
+    limit = next(iter(paper.values())).steps[-1]
+    for axes, rows in ((left, "total_reward"), (right, "success")):
+        named = [(f"{name}, preset paper", curve) for name, curve in paper.items()]
+        if rows == "success":
+            named.append(("DRL-Feasibility, preset default", default))
+        for name, curve in named:
+            found = [interval(v[np.isfinite(v)]) if np.isfinite(v).any() else (np.nan, np.nan)
+                     for v in getattr(curve, rows)]  # fmt: skip
+            mean, half = np.array(found).T
+            steps = np.array(curve.steps)
+            inside = steps <= limit
+            line = axes.plot(steps[inside], mean[inside], label=name)
+            low, high = (mean - half)[inside], (mean + half)[inside]
+            axes.fill_between(steps[inside], low, high, alpha=0.25, color=line[0].get_color())
+        axes.set(xlabel="environment steps")
+        axes.grid(alpha=0.3)
+    left.set(ylabel="total reward of an episode", title="What the paper shows: rewards differ")
+    left.set_yscale("symlog", linthresh=10)
+    right.set(ylabel="share of episodes", ylim=(-0.02, 1.02), title="Ended in the target, free")
+    right.legend(loc="lower right", fontsize=8)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def main(
+    json: Path | None = None,
+    picture: Path | None = None,
+    problems: Path | None = None,
+    steps: int = 1_000_000,
+    seeds: int = 5,
+    ablation_seeds: int = 3,
+    test: int = drl_problems.HELD_OUT,
+) -> None:
+    """Print all figures.
+
+    Args:
+        json: file to write them to.
+        picture: learning curves to draw.
+        problems: file to keep the segments in, or to take them from.
+        steps: of each training of preset paper, and of half of preset default's.
+        seeds: trainings of each agent.
+        ablation_seeds: trainings of each variant of the world.
+        test: held-out segments, 500 at most.
+    """
+    hj.use_all_cores()
+    cell = load_workcell("gen3_handling")
+    found = drl_problems.problems(cell, problems)
+    found = found.replace(held_out=drl_problems.take(found.held_out, slice(test)))
+    rows = speed(cell, found.training)
+    numbers = tuple(range(seeds))
+    more, default = drl_default.figures(cell, found, numbers, steps)
+    rows += more
+    more, paper = drl_study.figures(cell, found, numbers, steps)
+    rows += more
+    if picture:
+        draw(picture, paper, default)
+    rows += drl_ablation.figures(cell, found, tuple(range(ablation_seeds)), steps)
+    write(rows, json)
+
+
+if __name__ == "__main__":
+    tyro.cli(main)
