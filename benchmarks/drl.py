@@ -64,9 +64,10 @@ def speed(cell: Workcell, segments: Segments) -> list[dict]:
         rows.append(metric("drl.sb3_steps_per_second", best["sb3"], "1/s", "higher", note))
         rows.append(metric("drl.sb3_env_steps_per_second", other.world_steps_per_second(), "1/s",
                            "higher", "PyBullet's world alone"))  # fmt: skip
-        for name in ("paper", "default"):
+        for name, note in (("paper", "the same world and sizes"),
+                           ("default", "the rival as before, ours in its own world and sizes")):
             rows.append(metric(f"drl.train_{name}_vs_sb3", best[name] / best["sb3"], "1", "higher",
-                               "environment steps/s with learning, in turns"))  # fmt: skip
+                               f"environment steps/s with learning, in turns; {note}"))  # fmt: skip
     return rows
 
 

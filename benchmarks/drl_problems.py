@@ -63,15 +63,14 @@ def collect(cell: Workcell, scale: float, first: int, count: int) -> Segments:
     )  # fmt: skip
 
 
-def solvable(cell: Workcell, segments: Segments, batch: int = 64) -> np.ndarray:
-    """Which segments RRT-Connect solves."""
-    count, solved = segments.start.shape[0], []
+def rrt_paths(cell: Workcell, segments: Segments, batch: int = 64) -> list[np.ndarray | None]:
+    """RRT-Connect's path of each segment; None where it found none."""
+    count, found = segments.start.shape[0], []
     for low in range(0, count, batch):
         index = np.minimum(np.arange(low, low + batch), count - 1)  # one shape, one program
         part = take(segments, index)
-        paths = plan_paths(cell, part.scene, part.start, part.goal, key=jax.random.key(low))
-        solved += [path is not None for path in paths]
-    return np.array(solved[:count])
+        found += plan_paths(cell, part.scene, part.start, part.goal, key=jax.random.key(low))
+    return found[:count]
 
 
 def unseen(cell: Workcell, scale: float) -> Segments:
@@ -79,7 +78,7 @@ def unseen(cell: Workcell, scale: float) -> Segments:
     parts, found, tried, first = [], 0, 0, UNSEEN
     while found < HELD_OUT:
         segments = collect(cell, scale, first, 30)
-        good = solvable(cell, segments)
+        good = np.array([path is not None for path in rrt_paths(cell, segments)])
         parts.append(take(segments, np.flatnonzero(good)))
         found, tried, first = found + int(good.sum()), tried + len(good), first + 30
     print(f"held out: {found} of {tried} segments of {first - UNSEEN} tasks are solvable")

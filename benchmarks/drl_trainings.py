@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Trainings of the benchmark: several seeds, what they report, and policies along the way."""
+"""Trainings of the benchmark: several seeds, and what they report along the way."""
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import jax
@@ -46,39 +45,27 @@ def run(world, net, config: Config, seeds: tuple[int, ...], devices=None) -> Tra
     return Trained([state.policy(i) for i in range(len(seeds))], curve, seconds)
 
 
-def advance(
-    programs, state: Training, until: int, watch: Callable[[int, Training], None] | None = None
-) -> tuple[Training, Curve]:
-    """Train up to an iteration.
-
-    Args:
-        programs: of the training.
-        state: where it stands.
-        until: iteration to stop before.
-        watch: called with steps done and the state after each iteration.
-    """
+def advance(programs, state: Training, until: int) -> tuple[Training, Curve]:
+    """Train up to an iteration."""
     curve, each = Curve(), programs.config.steps_per_iteration
     sums = {}
     for iteration in range(int(state.learner.iteration[0]), until):
         state, metrics = programs.advance(state)
         values, steps = jax.device_get(metrics), (iteration + 1) * each
         refuse_broken(steps, values, state.learner.params)
-        _count(sums, values, each)
+        _count(sums, values)
         if steps % WINDOW < each or iteration + 1 == until:
             _note(curve, sums, steps)
             sums = {}
-        if watch:
-            watch(steps, state)
     return state, curve
 
 
-def _count(sums: dict, values: dict, steps: int) -> None:
-    """Add an iteration: sums over it of rewards, ended episodes and successes."""
+def _count(sums: dict, values: dict) -> None:
+    """Add an iteration: episodes that ended, what they gained, and how many ended well."""
+    ended = values["episodes"]
     rows = {
-        "reward": steps * values["reward"],
-        "episodes": values["episodes"],
-        "success": values["success"] * np.maximum(values["episodes"], 1.0),
-    }
+        "gained": values["return"] * ended, "episodes": ended, "success": values["success"] * ended
+    }  # fmt: skip
     for name, row in rows.items():
         sums[name] = sums.get(name, 0.0) + row
 
@@ -86,5 +73,5 @@ def _count(sums: dict, values: dict, steps: int) -> None:
 def _note(curve: Curve, sums: dict, steps: int) -> None:
     ended = np.where(sums["episodes"] > 0, sums["episodes"], np.nan)
     curve.steps.append(steps)
-    curve.total_reward.append(sums["reward"] / ended)
+    curve.total_reward.append(sums["gained"] / ended)
     curve.success.append(sums["success"] / ended)

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The stages of a training run: map, three agents, demonstration. Each leaves files in the run."""
 
-import dataclasses
 import functools
 import json
 import time
@@ -12,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from hybrid_jax import artifacts, pictures
-from hybrid_jax.agents import controllers, dqn, joint, programs, switching, training
-from hybrid_jax.errors import RunFolderError, TrainingError
+from hybrid_jax.agents import controllers, dqn, joint, switching
+from hybrid_jax.checkpoints import train_agent
 from hybrid_jax.feasibility import building
 from hybrid_jax.feasibility.judging import Reason
 from hybrid_jax.planner import combining, harvest
@@ -124,65 +123,12 @@ def training_segments(run: Run, quiet: bool) -> harvest.Segments:
     return segments
 
 
-def _read_checkpoint(run: Run, name: str, world, net, config: programs.Config) -> training.Training:
-    """A training where it stopped.
-
-    Raises:
-        RunFolderError: damaged, of another cell, or made with other settings.
-    """
-    header, saved = run.load(name, "checkpoint")
-    now = json.loads(json.dumps(dataclasses.asdict(config)))
-    for setting, value in now.items():
-        was = header.get("settings", {}).get(setting)
-        if was != value:
-            raise RunFolderError(
-                f"{run.path(name)} was trained with {setting} {was}, now {value}: delete it to "
-                f"train anew, or go on with the preset that it was made with"
-            )
-    fresh = programs.make_programs(world, net, config).start((config.seed,))
-    return jax.tree.map(jnp.asarray, artifacts.restore(fresh, saved))
-
-
-def _train_agent(
-    run: Run, stage: str, world, net, config: programs.Config, quiet: bool, every: int = 20
-) -> training.Training:
-    """Train with progress, metrics and checkpoints; goes on from a checkpoint if there is one."""
-    checkpoint = run.path(f"{stage}_checkpoint.npz")
-    latest, success = None, 0.0
-    if checkpoint.is_file():
-        latest = _read_checkpoint(run, checkpoint.name, world, net, config)
-    progress = Progress(stage, "steps", quiet)
-
-    def keep():
-        if latest is not None:
-            run.save(checkpoint.name, "checkpoint", latest, settings=dataclasses.asdict(config))
-
-    def report(steps, state, metrics):
-        nonlocal latest, success
-        metrics = {k: float(v[0]) for k, v in metrics.items()}
-        if not metrics["episodes"]:  # nothing ended: there is no success rate to speak of
-            del metrics["success"], metrics["return"]
-        latest, success = state, metrics.get("success", success)
-        run.log(stage, {"step": steps, **{k: round(v, 5) for k, v in metrics.items()}})
-        progress(steps, config.iterations * config.steps_per_iteration, f"success {success:.2f}")
-        if int(state.learner.iteration[0]) % every == 0:
-            keep()
-
-    try:
-        state = training.train(world, net, config, state=latest, report=report)
-    except (KeyboardInterrupt, TrainingError):
-        keep()
-        raise
-    checkpoint.unlink(missing_ok=True)
-    return state
-
-
 def run_drl(run: Run, quiet: bool) -> dict:
-    """PPO on the infeasible segments (Algorithm 1, lines 4-8; Algorithm 3)."""
+    """The joint agent on the infeasible segments (Algorithm 1, lines 4-8; Algorithm 3)."""
     config = run.preset.joint
     segments = training_segments(run, quiet)
     net = joint.make_net(run.cell, config)
-    state = _train_agent(
+    state = train_agent(
         run, "drl", joint.make_world(run.cell, segments, config), net, config.training, quiet
     )
     policy = state.policy()
@@ -230,7 +176,7 @@ def run_switch(run: Run, quiet: bool) -> dict:
     config = run.preset.switch
     problems = combined_problems(run, quiet)
     net = switching.make_net(run.cell.home.size, config)
-    state = _train_agent(
+    state = train_agent(
         run, "switch", switching.SwitchWorld(problems, config), net, config.training, quiet
     )
     policy = state.policy()

@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 from test_agents import SMALL, Track
 
-from hybrid_jax import stages
-from hybrid_jax.agents import networks, programs, training
+from hybrid_jax import checkpoints
+from hybrid_jax.agents import networks, programs, sac, training
 from hybrid_jax.errors import RunFolderError
 from hybrid_jax.runfolder import Run
 
 CONFIG = dataclasses.replace(SMALL, steps=6 * 512)
+SAC_CONFIG = sac.SacConfig(
+    steps=6 * 256, envs=32, unroll=8, batch=64, updates=4, warmup=256, replay=1024, hidden=(16,)
+)
 
 
 def make_run(cell, folder):
@@ -21,16 +24,17 @@ def make_run(cell, folder):
     return Run(folder, cell, "smoke", 0)
 
 
-def train(run, config=CONFIG):
-    net = networks.make_networks(1, 1, config.hidden, discrete=False)
-    return stages._train_agent(run, "drl", Track(), net, config, quiet=True, every=2)
+def train(run, config=CONFIG, world=None):
+    if isinstance(config, sac.SacConfig):
+        net = sac.make_networks(1, 1, config.hidden)
+    else:
+        net = networks.make_networks(1, 1, config.hidden, discrete=False)
+    return checkpoints.train_agent(run, "drl", world or Track(), net, config, quiet=True, every=2)
 
 
-@pytest.fixture
-def interrupted(cell, tmp_path, monkeypatch):
-    """A run whose training was stopped after its third update."""
-    run, seen = make_run(cell, tmp_path / "stopped"), []
-    log = Run.log
+def interrupt(run, monkeypatch, config=CONFIG):
+    """Stop a training after its third update."""
+    seen, log = [], Run.log
 
     def stop(self, stage, values):
         log(self, stage, values)
@@ -41,20 +45,29 @@ def interrupted(cell, tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(Run, "log", stop)
         with pytest.raises(KeyboardInterrupt):
-            train(run)
+            train(run, config)
     return run
 
 
-def test_a_resumed_run_equals_an_uninterrupted_one(cell, tmp_path, interrupted):
-    """To the last bit: parameters, optimiser, normaliser, key, step and copies."""
-    assert interrupted.path("drl_checkpoint.npz").is_file()
-    resumed, whole = train(interrupted), train(make_run(cell, tmp_path / "whole"))
+@pytest.fixture
+def interrupted(cell, tmp_path, monkeypatch):
+    """A run whose training was stopped after its third update."""
+    return interrupt(make_run(cell, tmp_path / "stopped"), monkeypatch)
+
+
+@pytest.mark.parametrize("config", [CONFIG, SAC_CONFIG], ids=["ppo", "sac"])
+def test_a_resumed_run_equals_an_uninterrupted_one(cell, tmp_path, monkeypatch, config):
+    """To the last bit: parameters, optimiser, normaliser, replay, key, step and copies."""
+    stopped = interrupt(make_run(cell, tmp_path / "stopped"), monkeypatch, config)
+    assert stopped.path("drl_checkpoint.npz").is_file()
+    resumed = train(stopped, config)
+    whole = train(make_run(cell, tmp_path / "whole"), config)
     for a, b in zip(jax.tree.leaves(resumed), jax.tree.leaves(whole), strict=True):
         np.testing.assert_array_equal(a, b)
     assert int(resumed.learner.iteration[0]) == 6
-    steps = [row["step"] for row in interrupted.metrics("drl")]
-    assert steps == [512 * i for i in range(1, 7)]
-    assert not interrupted.path("drl_checkpoint.npz").is_file()
+    each = config.steps_per_iteration
+    assert [row["step"] for row in stopped.metrics("drl")] == [each * i for i in range(1, 7)]
+    assert not stopped.path("drl_checkpoint.npz").is_file()
 
 
 def test_a_checkpoint_cut_short_is_refused_by_name(interrupted):
@@ -68,6 +81,16 @@ def test_a_checkpoint_cut_short_is_refused_by_name(interrupted):
 def test_a_checkpoint_of_other_settings_is_refused(interrupted):
     with pytest.raises(RunFolderError, match="learning_rate 0.001, now 0.01"):
         train(interrupted, dataclasses.replace(CONFIG, learning_rate=0.01))
+
+
+def test_a_checkpoint_of_other_rules_or_devices_is_refused(interrupted, monkeypatch):
+    world = Track()
+    world.config = "steeper"
+    with pytest.raises(RunFolderError, match="rules of the world None, now 'steeper'"):
+        train(interrupted, world=world)
+    monkeypatch.setattr(jax, "local_device_count", lambda: 7)
+    with pytest.raises(RunFolderError, match="number of devices 1, now 7"):
+        train(interrupted)
 
 
 def test_a_checkpoint_of_another_cell_is_refused(interrupted):

@@ -102,7 +102,7 @@ def test_errors_are_one_sentence_on_the_terminal():
 
 def test_interrupt_keeps_a_checkpoint_that_resume_takes(tmp_path, monkeypatch, capsys):
     """Ctrl-C in the middle of the joint agent's training."""
-    from hybrid_jax import stages
+    from hybrid_jax import checkpoints
     from hybrid_jax.agents import networks, training
 
     folder = tmp_path / "run"
@@ -122,10 +122,10 @@ def test_interrupt_keeps_a_checkpoint_that_resume_takes(tmp_path, monkeypatch, c
     toy = pytest.importorskip("test_agents")
     net = networks.make_networks(1, 1, toy.SMALL.hidden, False)
     with pytest.raises(KeyboardInterrupt):
-        stages._train_agent(run, "drl", toy.Track(), net, toy.SMALL, True)
+        checkpoints.train_agent(run, "drl", toy.Track(), net, toy.SMALL, True)
     assert (folder / "drl_checkpoint.npz").is_file()
     monkeypatch.setattr(training, "train", real)
-    state = stages._train_agent(run, "drl", toy.Track(), net, toy.SMALL, True)
+    state = checkpoints.train_agent(run, "drl", toy.Track(), net, toy.SMALL, True)
     assert int(state.learner.iteration[0]) == toy.SMALL.iterations
     assert not (folder / "drl_checkpoint.npz").exists()
     steps = [row["step"] for row in run.metrics("drl")]

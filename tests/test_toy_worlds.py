@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from test_agents import assert_same, toy_tasks
-from toy_worlds import Aimed, Delayed, Endless, Matched, Seen, Toy
+from toy_worlds import Aimed, Delayed, Endless, Later, Matched, Seen, Toy
 
 from hybrid_jax.agents import controllers, dqn, networks, ppo, sac, training
 from hybrid_jax.errors import TrainingError
@@ -63,7 +63,7 @@ def test_values(agent, toy, values):
 
 
 @pytest.mark.parametrize("agent", AGENTS)
-@pytest.mark.parametrize("toy, seen", [(Aimed, [0.0]), (Matched, [1.0, -1.0])])
+@pytest.mark.parametrize("toy, seen", [(Aimed, [0.0]), (Matched, [1.0, -1.0]), (Later, [0.0])])
 def test_actions(agent, toy, seen):
     config, discrete = AGENTS[agent]
     world = toy(discrete)

@@ -5,6 +5,8 @@ In the order in which they should be mended: a world needs what those before it 
 more. `x` is all that an agent sees.
 """
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 
@@ -71,7 +73,7 @@ class Delayed(Toy):
 
 
 class Endless(Toy):
-    """Nothing ends, observation is cut: a cut is no end."""
+    """Nothing ends, every episode is cut: a cut is no end."""
 
     lengths = -1
 
@@ -85,7 +87,20 @@ class Aimed(Toy):
     def reward(self, x, step, action):
         if self.discrete:
             return 1.0 * (action == (self.aim(x) > 0))
-        return -jnp.square(action[0] - self.aim(x))
+        return -4.0 * jnp.square(action[0] - self.aim(x))
+
+
+class Later(Aimed):
+    """The first of two actions is paid for after the second: credit over time."""
+
+    lengths = 2
+
+    def step(self, state, action):
+        move = super().step(state, action)
+        first = state["step"] == 0
+        worth = jnp.where(first, self.reward(state["x"], 1, action), state["x"])
+        after = move.state | {"x": jnp.float32(worth)}  # it is seen what is to be paid
+        return dataclasses.replace(move, state=after, reward=jnp.where(first, 0.0, worth))
 
 
 class Matched(Aimed):

@@ -115,8 +115,7 @@ def collect(world, net: ActorCritic, config: PpoConfig, learner: Learner, copies
     copies, data = worlds.rollout(world, choose, copies, key_steps, config.unroll)
     data["last_obs"] = copies.obs
     copies, cut = worlds.cut_overdue(world, copies, key_cut)
-    data["cut"] = cut.astype(jnp.float32)
-    return copies, data
+    return copies, data | cut
 
 
 def _mean_of(kept: Array | None):

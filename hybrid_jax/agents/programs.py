@@ -28,8 +28,10 @@ class Training:
 
     def policy(self, seed: int = 0) -> networks.Policy:
         """The present policy of one seed."""
-        learner = jax.tree.map(lambda a: a[seed], self.learner)
-        return networks.Policy(learner.params["policy"], learner.normalizer)
+        learner = self.learner
+        found = networks.Policy(learner.params["policy"], learner.normalizer)
+        # free of the devices that trained it: they would all repeat what one can do
+        return jax.tree.map(lambda a: a[seed], jax.device_get(found))
 
 
 FEWEST_SAMPLES = 256
@@ -56,11 +58,11 @@ class PpoPrograms:
         mesh = Mesh(np.array(devices), (ppo.AXIS,))
         whole, split = PartitionSpec(), PartitionSpec(None, ppo.AXIS)
         late = PartitionSpec(None, None, ppo.AXIS)
-        kinds = dict.fromkeys(("last_obs", "cut"), split)
+        kinds = dict.fromkeys(("last_obs", "cut", "cut_gained"), split)
         self._whole, self._split = NamedSharding(mesh, whole), NamedSharding(mesh, split)
         spread = functools.partial(jax.shard_map, mesh=mesh, check_vma=False)
         data = {k: late for k in ("obs", "action", "log_prob", "reward", "terminated", "success",
-                                  "facts", "kept")} | kinds  # fmt: skip
+                                  "gained", "facts", "kept")} | kinds  # fmt: skip
         self.begin = jax.jit(spread(self._begin, in_specs=whole, out_specs=split))
         self.collect = jax.jit(
             spread(self._collect, in_specs=(whole, split), out_specs=(split, data)),
@@ -144,8 +146,8 @@ class SacPrograms:
         """One rollout; gradient steps once the warm-up is over."""
         copies, data = self.collect(state.learner, state.copies)
         learner, terms = self.remember(state.learner, data), {}
-        if int(learner.iteration[0]) * self.config.steps_per_iteration > self.config.warmup:
-            # outside of the program, so that it does not copy the replay
+        if int(learner.iteration[0]) * self.config.steps_per_iteration >= self.config.warmup:
+            # outside of the program, which would copy the replay
             changed, terms = self.improve(learner)
             learner = learner.replace(**changed)
         return Training(learner, copies), self.report(data, terms)

@@ -128,7 +128,7 @@ def _queue(world: worlds.World, config: SacConfig) -> Ring:
 
 def initialize(world: worlds.World, net: ActorCritic, config: SacConfig, key: Array) -> SacLearner:
     """Fresh networks and an empty replay; one seed."""
-    key_policy, key_critic, key_replay, key = jax.random.split(key, 4)
+    key_policy, key_critic, key = jax.random.split(key, 3)
     params = {
         "policy": networks.fresh_policy(net, key_policy),
         "critic": net.value.init(key_critic),
@@ -140,7 +140,7 @@ def initialize(world: worlds.World, net: ActorCritic, config: SacConfig, key: Ar
         target=params["critic"],
         optimizer={name: adam.init(part) for name, part in params.items()},
         normalizer=networks.blank_statistics(world.observation_size),
-        replay=_queue(world, config).init(key_replay),
+        replay=_queue(world, config).init(key),
         key=key,
         iteration=jnp.zeros((), jnp.int32),
     )
@@ -158,8 +158,7 @@ def collect(world, net: ActorCritic, config: SacConfig, learner: SacLearner, cop
     copies, data = worlds.rollout(world, choose, copies, key_steps, config.unroll)
     data["last_obs"] = copies.obs
     copies, cut = worlds.cut_overdue(world, copies, key_cut)
-    data["cut"] = cut.astype(jnp.float32)
-    return copies, data
+    return copies, data | cut
 
 
 def transitions(data) -> Transition:

@@ -31,7 +31,8 @@ class Move:
     facts: dict[str, Array]
     """Further numbers to be reported: their means over all steps."""
     kept: Array | None = None
-    """0 where the agent is not to learn from this step; None: it learns from all."""
+    """0 where this step's losses do not count (of SAC: the critics'); None: all count. Its reward
+    is part of what earlier steps led to all the same."""
 
 
 class World(Protocol):
@@ -63,12 +64,14 @@ class Copies:
 
     state: Any
     obs: Array
+    gained: Array
+    """Rewards of the running episodes, added up."""
 
 
 def start_copies(world: World, key: PRNGKeyArray, count: int) -> Copies:
     """`count` fresh copies."""
     state = jax.vmap(world.begin)(jax.random.split(key, count))
-    return Copies(state, jax.vmap(world.observe)(state))
+    return Copies(state, jax.vmap(world.observe)(state), jnp.zeros(count))
 
 
 def choose_states(condition: Array, yes: Any, no: Any) -> Any:
@@ -96,7 +99,7 @@ def rollout(
 
     Returns:
         The copies, and `[step, copy]` arrays: `obs`, `reward`, `terminated`, `success`, `facts`,
-        `kept`, and what `choose` keeps.
+        `kept`, `gained` by the episodes that ended, and what `choose` keeps.
     """
     count = copies.obs.shape[0]
     key_spare, key_steps = jax.random.split(key)
@@ -107,11 +110,13 @@ def rollout(
         action, kept = choose(before.obs, key)
         move = jax.vmap(world.step)(before.state, action)
         state = choose_states(move.terminated, spare, move.state)
-        after = Copies(state, jax.vmap(world.observe)(state))
+        gained, over = before.gained + move.reward, 1.0 * move.terminated
+        after = Copies(state, jax.vmap(world.observe)(state), (1 - over) * gained)
         return after, {
             "obs": before.obs,
             "reward": move.reward,
-            "terminated": move.terminated.astype(jnp.float32),
+            "terminated": over,
+            "gained": over * gained,
             "success": move.success.astype(jnp.float32),
             "facts": move.facts,
             "kept": move.kept,
@@ -121,19 +126,22 @@ def rollout(
     return jax.lax.scan(step, copies, jax.random.split(key_steps, steps))
 
 
-def cut_overdue(world: World, copies: Copies, key: PRNGKeyArray) -> tuple[Copies, Array]:
-    """Begin anew where the time limit has passed; also returns where that was."""
+def cut_overdue(
+    world: World, copies: Copies, key: PRNGKeyArray
+) -> tuple[Copies, dict[str, Array]]:
+    """Begin anew where the time limit has passed; also returns where, and what was gained there."""
     overdue = jax.vmap(world.overdue)(copies.state)
     fresh = start_copies(world, key, copies.obs.shape[0])
-    return choose_states(overdue, fresh, copies), overdue
+    cut = {"cut": 1.0 * overdue, "cut_gained": overdue * copies.gained}
+    return choose_states(overdue, fresh, copies), cut
 
 
 def episode_sums(data: dict[str, Any]) -> dict[str, Array]:
-    """Over a rollout: episodes that ended, those that ended well, and the rewards of all steps."""
+    """Over a rollout: episodes that ended, those that ended well, and what all of them gained."""
     return {
         "episodes": jnp.sum(data["terminated"]) + jnp.sum(data["cut"]),
         "success": jnp.sum(data["success"]),
-        "return": jnp.sum(data["reward"]),
+        "return": jnp.sum(data["gained"]) + jnp.sum(data["cut_gained"]),
     }
 
 

@@ -3,7 +3,8 @@
 
 Everything runs on the kernels, so thousands of copies live in one compiled program. A move that
 would bring the robot closer than the margin is not made: a rollout's way points are always free.
-With `physics="mjx"` the arm's servos carry out a move, in dynamics, and it ends where they get to.
+With `physics="mjx"` the arm's servos carry out a move, in dynamics, and it ends where they get to:
+there the commanded line is free, the servos' way is not checked.
 
 One choice makes it learnable in a minute: the action corrects a straight step towards the goal and
 fades out beside it. So an untrained agent already solves what a straight line solves, and ends
@@ -203,7 +204,7 @@ class ReachWorld:
         free = gap >= rules.margin
         q, body = jnp.where(free, wanted, state.q), None
         if self.servos:
-            body = self.servos.move(state.body, q)
+            body = self.servos.move(state.body, q, self.segments.scene.opening[state.segment])
             q = self.servos.configuration(body)
         pose = tool_pose(self.cell, q)
         reached = self.reached(state.segment, q, pose)

@@ -2,7 +2,8 @@
 """The arm of the joint agent's world under its servos, on MJX: for accelerators.
 
 One copy's whole state is `qpos` and `qvel`; the engine's other arrays are made anew in each step,
-so thousands of copies fit into memory. What the gripper holds takes no part in the dynamics.
+so thousands of copies fit into memory. A held object is out of the way, far above: it counts for
+the checks alone.
 """
 
 import jax.numpy as jnp
@@ -45,15 +46,17 @@ class Servos:
                 )
         self.cell, self.model = cell, physics.put_cell(cell)
         self.steps = max(1, round(period / cell.model.opt.timestep))
-        self.joints = jnp.array(layout.qpos)
+        self.joints, self.gripper = jnp.array(layout.qpos), layout.gripper_actuator
 
     def rest(self, cell: Workcell, q: Float[Array, "n"]) -> Body:
         """The bodies of a scene at rest, the arm at `q`."""
         return Body(scene_qpos(cell, q), jnp.zeros(cell.model.nv))
 
-    def move(self, body: Body, wanted: Float[Array, "n"]) -> Body:
-        """After a period under the command to go to `wanted`."""
+    def move(self, body: Body, wanted: Float[Array, "n"], opening: Float[Array, ""]) -> Body:
+        """After a period under the command to go to `wanted`, the fingers `opening` from closed."""
         command = physics.hold_command(self.cell, body.qpos.at[self.joints].set(wanted))
+        if self.gripper >= 0:
+            command = command.at[self.gripper].set(opening)
         data = physics.start_state(self.cell, self.model, body.qpos)
         data = physics.step(self.model, data.replace(qvel=body.qvel, ctrl=command), self.steps)
         return Body(data.qpos, data.qvel)

@@ -3,7 +3,7 @@
 
 The distances are those of MJX's contact points: right in sign, but no smallest distance of
 primitives, and only one number where primitives are far apart. Objects are where the scene has
-them; a payload is not seen.
+them; a payload is not seen: the object that is held is far above.
 """
 
 import functools
@@ -20,6 +20,9 @@ from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.quiet import import_mjx
 from hybrid_jax.types import Workcell, WorkcellSource
 from hybrid_jax.workcell.layout import home_qpos, moved_geoms
+
+ALOFT = 1000.0
+"""How far a held object is raised: where nothing is, also after falling for ten seconds [m]."""
 
 
 def _mjx():
@@ -43,7 +46,9 @@ def _object_poses(cell: Workcell) -> Float[Array, "object 7"]:
     first = jnp.array([owners.index(k) for k in range(len(cell.source.layout.object_names))], int)
     placed, local = cell.scene.objects.pose[first], cell.objects.pose[first]
     turn = dq.quat_mul(placed[:, 3:], dq.quat_conj(local[:, 3:]))
-    return jnp.concatenate([placed[:, :3] - dq.quat_rotate(turn, local[:, :3]), turn], axis=1)
+    place = placed[:, :3] - dq.quat_rotate(turn, local[:, :3])
+    held = cell.scene.objects.on[first, None] <= 0
+    return jnp.concatenate([place + held * jnp.array([0.0, 0.0, ALOFT]), turn], axis=1)
 
 
 def scene_qpos(cell: Workcell, q: Array) -> Array:
