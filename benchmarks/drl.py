@@ -8,6 +8,7 @@ and it is said. About half an hour on two cores.
 """
 
 from pathlib import Path
+from typing import Literal
 
 import matplotlib
 import numpy as np
@@ -100,10 +101,15 @@ def draw(path: Path, paper: dict[str, Curve], default: Curve) -> None:
     plt.close(figure)
 
 
+PARTS = ("speed", "default", "paper", "ablation")
+"""What the benchmark consists of, in order."""
+
+
 def main(
     json: Path | None = None,
     picture: Path | None = None,
     problems: Path | None = None,
+    parts: tuple[Literal["speed", "default", "paper", "ablation"], ...] = PARTS,
     steps: int = 1_000_000,
     seeds: int = 5,
     ablation_seeds: int = 3,
@@ -112,9 +118,10 @@ def main(
     """Print all figures.
 
     Args:
-        json: file to write them to.
-        picture: learning curves to draw.
+        json: file to write them to, after each part.
+        picture: learning curves to draw; they need the parts default and paper.
         problems: file to keep the segments in, or to take them from.
+        parts: which to run.
         steps: of each training of preset paper, and of half of preset default's.
         seeds: trainings of each agent.
         ablation_seeds: trainings of each variant of the world.
@@ -124,16 +131,29 @@ def main(
     cell = load_workcell("gen3_handling")
     found = drl_problems.problems(cell, problems)
     found = found.replace(held_out=drl_problems.take(found.held_out, slice(test)))
-    rows = speed(cell, found.training)
-    numbers = tuple(range(seeds))
-    more, default = drl_default.figures(cell, found, numbers, steps)
-    rows += more
-    more, paper = drl_study.figures(cell, found, numbers, steps)
-    rows += more
-    if picture:
-        draw(picture, paper, default)
-    rows += drl_ablation.figures(cell, found, tuple(range(ablation_seeds)), steps)
-    write(rows, json)
+    numbers, curves = tuple(range(seeds)), {}
+
+    def default():
+        rows, curves["default"] = drl_default.figures(cell, found, numbers, steps)
+        return rows
+
+    def paper():
+        rows, curves["paper"] = drl_study.figures(cell, found, numbers, steps)
+        return rows
+
+    runs = {
+        "speed": lambda: speed(cell, found.training),
+        "default": default,
+        "paper": paper,
+        "ablation": lambda: drl_ablation.figures(cell, found, numbers[:ablation_seeds], steps),
+    }
+    rows = []
+    for part in PARTS:
+        if part in parts:
+            rows += runs[part]()
+            write(rows, json)
+    if picture and len(curves) == 2:
+        draw(picture, curves["paper"], curves["default"])
 
 
 if __name__ == "__main__":

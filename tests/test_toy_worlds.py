@@ -94,6 +94,21 @@ def test_transitions_that_are_not_kept_teach_nothing(config):
     assert judge(-1.0)[0] < 2.0
 
 
+def test_a_dropped_transition_whose_ratio_overflows_does_no_harm():
+    net = networks.make_networks(1, 1, (4,), discrete=False)
+    learner = ppo.initialize(net, 1, PPO, jax.random.PRNGKey(0))
+    batch = {
+        "obs": jnp.zeros((2, 1)), "action": jnp.zeros((2, 1)), "target": jnp.ones(2),
+        "log_prob": jnp.array([0.0, -1e3]), "advantage": jnp.array([1.0, -2.0]),
+        "kept": jnp.array([1.0, 0.0]),
+    }  # fmt: skip
+    grads = jax.grad(lambda p: ppo._loss(p, net, learner.normalizer, batch, PPO, None)[0])(
+        learner.params
+    )
+    assert all(np.isfinite(a).all() for a in jax.tree.leaves(grads))
+    assert any(np.abs(a).max() > 0 for a in jax.tree.leaves(grads["value"]))
+
+
 def test_sac_resumes_bit_for_bit_and_forgets_the_oldest():
     config = dataclasses.replace(SAC, steps=6 * 256, replay=1024)
     net, kept = sac.make_networks(1, 1, config.hidden), []

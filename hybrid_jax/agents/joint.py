@@ -21,8 +21,8 @@ from hybrid_jax.types import Scene, Workcell
 Bridger = Callable[[Scene, np.ndarray, np.ndarray, Array], np.ndarray | None]
 """(scene, start, goal, key) to collision-free way points from start to goal, or None."""
 
-SHORT = 16
-"""Way points of a short path."""
+PIECE = 16
+"""Way points of a path that are proven at once."""
 WIDEST = 1.5
 """Spread of the boldest rollout; the first follows the policy's mode, those between grow bolder."""
 
@@ -218,10 +218,12 @@ def make_bridging(
         return jnp.all(free)
 
     def proven(scene, path):
-        # two sizes of path, so that there are two programs only; most paths are short
-        size = SHORT if len(path) <= SHORT else config.reach.horizon + 2
-        padded = np.concatenate([path, path[-1:].repeat(size - len(path), axis=0)])
-        return bool(prove(scene, padded))
+        # in pieces of one size, so that there is one program; most paths are one piece
+        pieces = (path[first : first + PIECE] for first in range(0, len(path) - 1, PIECE - 1))
+        return all(
+            prove(scene, np.concatenate([piece, piece[-1:].repeat(PIECE - len(piece), axis=0)]))
+            for piece in pieces
+        )
 
     def bridge(policy, scene, start, goal, key):
         one = single_segment(scene, start, goal)

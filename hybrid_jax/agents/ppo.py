@@ -129,7 +129,10 @@ def _loss(params, net: ActorCritic, normalizer, batch, config: PpoConfig, key):
     """Clipped surrogate, value and entropy terms; returns each beside the sum."""
     logits = net.policy.apply(normalizer, params["policy"], batch["obs"])
     values = net.value.apply(normalizer, params["value"], batch["obs"])
-    ratio = jnp.exp(net.actions.log_prob(logits, batch["action"]) - batch["log_prob"])
+    change = net.actions.log_prob(logits, batch["action"]) - batch["log_prob"]
+    if batch["kept"] is not None:  # nothing holds the others back: their ratios may overflow
+        change = jnp.where(batch["kept"] > 0, change, 0.0)
+    ratio = jnp.exp(change)
     mean = _mean_of(batch["kept"])
     advantage = batch["advantage"] - mean(batch["advantage"])
     advantage = advantage / (jnp.sqrt(mean(advantage**2)) + 1e-8)

@@ -115,4 +115,6 @@ def manipulability(cell: Workcell, q: Float[Array, "n"]) -> Float[Array, ""]:
     for i in range(6):
         matrix[i][i] = matrix[i][i] + _TINY  # pivots stay positive where the arm is singular
     square = functools.reduce(jnp.multiply, factor(matrix)[1])
-    return jnp.sqrt(jnp.maximum(square, 0.0))
+    # a pivot that rounds to exactly zero is divided by: the arm is singular there
+    sound = (square > 0) & (square < jnp.inf)
+    return jnp.where(sound, jnp.sqrt(jnp.where(sound, square, 1.0)), 0.0)
