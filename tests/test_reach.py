@@ -166,7 +166,7 @@ def test_planning_checks_moves_more_finely_than_training(cell, segments):
     config = joint.JointAgentConfig()
     trained, used = (make(cell, segments, config) for make in (joint.make_world,
                                                                joint.planning_world))  # fmt: skip
-    assert trained.config.edge_samples == 2 and used.config.edge_samples == 4
+    assert trained.config.edge_samples == 3 and used.config.edge_samples == 4
     paper = joint.JointAgentConfig(reach=PaperReachConfig())
     assert isinstance(joint.planning_world(cell, segments, paper), PaperReachWorld)
 

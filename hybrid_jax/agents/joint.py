@@ -48,8 +48,9 @@ class JointAgentConfig:
     retries: int = 2
     """Planning calls before the agent gives up."""
     edge_samples: int = 4
-    """Clearance checks along a move at planning time. Two are enough to learn from and cost half;
-    with two, one path in ten is refused by the exact check."""
+    """Clearance checks along a move at planning time. With two, one path in ten is refused by the
+    exact check, and the mode of a policy that learned with two may insist on moves that planning
+    refuses: three is what it trains with."""
 
 
 def _world_kind(config: JointAgentConfig) -> type[ReachWorld] | type[PaperReachWorld]:

@@ -49,7 +49,7 @@ class ReachConfig:
     """... and every joint is this close [rad]."""
     margin: float = 0.004
     """Clearance that a move must keep [m]."""
-    edge_samples: int = 2
+    edge_samples: int = 3
     """Clearance checks along a move."""
     backend: str = "fused"
     """What checks collisions: `fused` (our kernels) or `mjx` (without the payload)."""
