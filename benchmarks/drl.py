@@ -20,7 +20,7 @@ from benchmarks.drl_trainings import Curve
 from benchmarks.report import interval, metric, race, write
 from hybrid_jax.agents import joint
 from hybrid_jax.agents.programs import make_programs
-from hybrid_jax.planner.harvest import Segments
+from hybrid_jax.agents.segments import Segments, take
 from hybrid_jax.presets import DEFAULT, PAPER
 from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.load import load_workcell
@@ -130,7 +130,7 @@ def main(
     hj.use_all_cores()
     cell = load_workcell("gen3_handling")
     found = drl_problems.problems(cell, problems)
-    found = found.replace(held_out=drl_problems.take(found.held_out, slice(test)))
+    found = found.replace(held_out=take(found.held_out, slice(test)))
     numbers, curves = tuple(range(seeds)), {}
 
     def default():

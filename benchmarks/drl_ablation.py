@@ -22,14 +22,14 @@ from scipy.sparse.csgraph import dijkstra
 
 from benchmarks import drl_trainings
 from benchmarks.drl_default import share
-from benchmarks.drl_problems import Problems, rrt_paths, take
+from benchmarks.drl_problems import Problems, rrt_paths
 from hybrid_jax.agents import joint
 from hybrid_jax.agents.joint import JointAgentConfig
 from hybrid_jax.agents.programs import make_programs
+from hybrid_jax.agents.segments import Segments, take
 from hybrid_jax.feasibility.building import FeasibilityMap, build_feasibility_map
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.kinematics import tool_pose
-from hybrid_jax.planner.harvest import Segments
 from hybrid_jax.presets import DEFAULT
 from hybrid_jax.simulation.reach import ReachConfig, ReachWorld
 from hybrid_jax.types import Workcell

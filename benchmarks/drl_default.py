@@ -15,13 +15,13 @@ import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
 from benchmarks import drl_trainings
-from benchmarks.drl_problems import Problems, take
+from benchmarks.drl_problems import Problems
 from benchmarks.report import interval, metric, rate
 from hybrid_jax.agents import joint, worlds
 from hybrid_jax.agents.joint import JointAgentConfig
 from hybrid_jax.agents.programs import make_programs
+from hybrid_jax.agents.segments import Segments, take
 from hybrid_jax.devices import vector_options
-from hybrid_jax.planner.harvest import Segments
 from hybrid_jax.presets import DEFAULT
 from hybrid_jax.simulation.reach import ReachWorld
 from hybrid_jax.types import Workcell
@@ -45,9 +45,9 @@ def solved(bridge, policy, segments: Segments) -> tuple[np.ndarray, np.ndarray]:
     """
     found, seconds = [], []
     for i in range(segments.start.shape[0]):
-        one = take(segments, i)
+        one = take(segments, slice(i, i + 1))
         began = time.perf_counter()
-        path = bridge(policy, one.scene, one.start, one.goal, jax.random.key(i))
+        path = bridge(policy, one, jax.random.key(i))[0]
         seconds.append(time.perf_counter() - began)
         found.append(path is not None)
     return np.array(found), np.array(seconds)

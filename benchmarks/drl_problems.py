@@ -12,9 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from hybrid_jax import artifacts
+from hybrid_jax.agents.segments import Segments, take
 from hybrid_jax.feasibility.building import build_feasibility_map
 from hybrid_jax.kernels.collision import clearance
-from hybrid_jax.planner.harvest import Segments, harvest
+from hybrid_jax.planner.harvest import harvest
 from hybrid_jax.planner.lfd import optimal_chooser
 from hybrid_jax.planner.loading import read_library
 from hybrid_jax.presets import DEFAULT, SMOKE
@@ -43,11 +44,6 @@ class Problems:
     """Random pairs of free configurations, each in the scene of a training segment."""
     held_out: Segments
     """Infeasible segments of unseen tasks, all solvable."""
-
-
-def take(segments: Segments, index) -> Segments:
-    """Some of the segments."""
-    return jax.tree.map(lambda a: a[index], segments)
 
 
 def join(parts: list[Segments]) -> Segments:

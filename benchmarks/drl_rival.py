@@ -15,8 +15,8 @@ from stable_baselines3 import PPO
 
 from benchmarks.rivals import Bullet
 from hybrid_jax.agents.ppo import PpoConfig
+from hybrid_jax.agents.segments import Segments
 from hybrid_jax.kernels.rays import RAY_COUNT, RAY_RANGE, fibonacci_directions
-from hybrid_jax.planner.harvest import Segments
 from hybrid_jax.simulation.paperreach import PaperReachConfig
 from hybrid_jax.types import Workcell
 

@@ -22,10 +22,10 @@ from benchmarks.report import interval, metric
 from hybrid_jax.agents import joint, networks, worlds
 from hybrid_jax.agents.joint import JointAgentConfig
 from hybrid_jax.agents.sac import SacConfig
+from hybrid_jax.agents.segments import Segments
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.edges import edge_is_free
 from hybrid_jax.kernels.kinematics import tool_pose
-from hybrid_jax.planner.harvest import Segments
 from hybrid_jax.presets import PAPER
 from hybrid_jax.simulation.paperreach import PaperReachConfig
 from hybrid_jax.types import Workcell

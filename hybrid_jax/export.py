@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from hybrid_jax.planner.pipeline import PlanResult
+from hybrid_jax.planner.records import PlanResult
 from hybrid_jax.skills.task import Task
 from hybrid_jax.types import Workcell
 
-SOURCES = ("LfD", "DRL")
+SOURCES = ("LfD", "DRL", "RRT")
 """Names of the sources of a point, in the order of `Trajectory.sources`."""
 GRIPPER_PAUSE = 0.8
 """Time between two phases in which the gripper moves [s]."""

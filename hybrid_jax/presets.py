@@ -9,7 +9,7 @@ from hybrid_jax.agents.joint import JointAgentConfig
 from hybrid_jax.agents.ppo import PpoConfig
 from hybrid_jax.agents.switching import SwitchConfig
 from hybrid_jax.feasibility.grid import MapConfig
-from hybrid_jax.planner.pipeline import PlannerConfig
+from hybrid_jax.planner.records import PlannerConfig
 from hybrid_jax.simulation.paperreach import PaperReachConfig
 from hybrid_jax.skills.library import SkillConfig
 

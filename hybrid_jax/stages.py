@@ -5,6 +5,7 @@ import functools
 import json
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -12,13 +13,15 @@ import numpy as np
 
 from hybrid_jax import artifacts, pictures
 from hybrid_jax.agents import controllers, dqn, joint, switching
+from hybrid_jax.agents.segments import Segments, refuse_infeasible
 from hybrid_jax.checkpoints import train_agent
 from hybrid_jax.feasibility import building
 from hybrid_jax.feasibility.judging import Reason
-from hybrid_jax.planner import combining, harvest
-from hybrid_jax.planner.lfd import optimal_chooser, stack_scenes
+from hybrid_jax.planner import harvest
+from hybrid_jax.planner.lfd import optimal_chooser
 from hybrid_jax.planner.loading import load_planner, read_library, read_scale
 from hybrid_jax.planner.pipeline import plan_motion
+from hybrid_jax.planner.switchdata import combined_phases
 from hybrid_jax.progress import Progress
 from hybrid_jax.runfolder import Run
 from hybrid_jax.simulation.execution import execute, start_data
@@ -93,7 +96,7 @@ def run_lfd(run: Run, quiet: bool) -> dict:
     return {"held_out_solved": row["solved"], "cost_over_optimum": row["cost_over_optimum"]}
 
 
-def collect_segments(run: Run, name: str, first: int, count: int, quiet: bool) -> harvest.Segments:
+def collect_segments(run: Run, name: str, first: int, count: int, quiet: bool) -> Segments:
     """Infeasible segments of random tasks, kept in a file of the run."""
     progress = Progress(name, "tasks", quiet)
     return harvest.harvest(
@@ -109,7 +112,7 @@ def collect_segments(run: Run, name: str, first: int, count: int, quiet: bool) -
     )
 
 
-def training_segments(run: Run, quiet: bool) -> harvest.Segments:
+def training_segments(run: Run, quiet: bool) -> Segments:
     """Segments to train on, from the run's file or made anew."""
     path = run.path("segments.npz")
     if not path.is_file():
@@ -117,9 +120,9 @@ def training_segments(run: Run, quiet: bool) -> harvest.Segments:
         run.save(path.name, "segments", found)
     _, state = run.load(path.name, "segments")
     scene = artifacts.restore(run.cell.scene, state["scene"])
-    segments = harvest.Segments(scene, state["start"], state["goal"])
+    segments = Segments(scene, state["start"], state["goal"])
     segments = jax.tree.map(jnp.asarray, segments)
-    harvest.refuse_infeasible(run.cell, segments, run.preset.joint.reach.margin)
+    refuse_infeasible(run.cell, segments, run.preset.joint.reach.margin)
     return segments
 
 
@@ -159,16 +162,14 @@ def combined_problems(run: Run, quiet: bool) -> switching.Combined:
     """traj_comb of training tasks: each infeasible segment that the joint agent bridges."""
     cell, preset = run.cell, run.preset
     planner = load_planner(run, switch="optimal")
-    progress, found = Progress("combine", "tasks", quiet), []
-    for done in range(preset.switch_tasks):
-        key = jax.random.fold_in(jax.random.key(run.seed), done)
-        found += combining.task_problems(planner, random_task(cell, TRAINING_TASKS + done), key)
-        progress(done + 1, preset.switch_tasks)
+    numbers = range(TRAINING_TASKS, TRAINING_TASKS + preset.switch_tasks)
+    tasks, key = [random_task(cell, number) for number in numbers], jax.random.key(run.seed)
+    found = combined_phases(planner, tasks, key)
     if not found:
         print("switch: the joint agent bridged no training segment (train it for longer); the "
               "switching agent sees the skills' motions alone")  # fmt: skip
-        found = combining.skill_problems(planner, random_task(cell, TRAINING_TASKS))
-    return stack_scenes(found)
+        found = combined_phases(replace(planner, bridge=None), tasks, key)
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *found)
 
 
 def run_switch(run: Run, quiet: bool) -> dict:

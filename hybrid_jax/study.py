@@ -10,7 +10,8 @@ import numpy as np
 from scipy.stats import binomtest
 
 from hybrid_jax.planner.directly import joint_agent_only
-from hybrid_jax.planner.pipeline import Planner, PlanResult, lfd_only, plan_motion
+from hybrid_jax.planner.pipeline import lfd_only, plan_motion
+from hybrid_jax.planner.records import Planner, PlanResult
 from hybrid_jax.simulation.execution import execute
 from hybrid_jax.skills.task import Task, random_task
 from hybrid_jax.types import Status

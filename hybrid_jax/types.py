@@ -197,6 +197,8 @@ class Status(enum.IntEnum):
     DRL_TIMEOUT = 3
     SEAM_FAILED = 4
     COLLISION = 5
+    INVALID_TASK = 6
+    START_INVALID = 7
 
     @property
     def sentence(self) -> str:
@@ -207,10 +209,23 @@ _SENTENCES = {
     Status.OK: "the trajectory was found and checked",
     Status.NEED_DEMO: "no demonstrated skill is close enough to a part of the task",
     Status.TASK_INFEASIBLE: "a key pose of the task cannot be reached free of collision",
-    Status.DRL_TIMEOUT: "the joint-space agent did not find a way around the infeasible part",
+    Status.DRL_TIMEOUT: "no way around an infeasible part was found",
     Status.SEAM_FAILED: "the parts do not join into one continuous joint motion",
     Status.COLLISION: "the assembled trajectory failed its final check",
+    Status.INVALID_TASK: "the task does not belong to this cell or holds bad numbers",
+    Status.START_INVALID: "the arm cannot start where it is said to stand",
 }
+
+
+class Source(enum.IntEnum):
+    """Where a way point came from."""
+
+    LFD = 0
+    """A skill."""
+    DRL = 1
+    """The joint agent."""
+    RRT = 2
+    """The sampling-based planner, where the joint agent found no way."""
 
 
 @pytree
@@ -226,4 +241,4 @@ class Trajectory:
     accelerations: np.ndarray
     """`[point, joint]` [rad/s^2]."""
     sources: np.ndarray
-    """`[point]` 0 where the point came from a skill (LfD), 1 from the joint agent (DRL)."""
+    """`[point]` `Source` of each point."""

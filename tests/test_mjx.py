@@ -9,11 +9,11 @@ import mujoco
 import numpy as np
 import pytest
 
+from hybrid_jax.agents.segments import Segments
 from hybrid_jax.errors import UnknownNameError, WorkcellError
 from hybrid_jax.feasibility.building import build_feasibility_map
 from hybrid_jax.feasibility.grid import MapConfig
 from hybrid_jax.feasibility.judging import Reason
-from hybrid_jax.planner.harvest import Segments
 from hybrid_jax.simulation import physics
 from hybrid_jax.simulation.reach import ReachConfig, ReachWorld
 from hybrid_jax.simulation.servos import Servos

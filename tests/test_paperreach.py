@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from hybrid_jax.agents.segments import Segments
 from hybrid_jax.kernels import dualquat as dq
-from hybrid_jax.planner.harvest import Segments
 from hybrid_jax.simulation.paperreach import PaperReachConfig, PaperReachWorld, euler
 
 

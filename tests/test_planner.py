@@ -6,6 +6,7 @@ test everything around the agents.
 """
 
 import json
+import re
 from dataclasses import replace
 
 import jax
@@ -14,37 +15,44 @@ import mujoco
 import numpy as np
 import pytest
 
-from hybrid_jax import rrt
+from hybrid_jax.agents.segments import single_segment
 from hybrid_jax.agents.switching import SwitchConfig
 from hybrid_jax.errors import TaskError, UnknownNameError
 from hybrid_jax.export import to_joint_trajectory
+from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.collision import clearance
-from hybrid_jax.planner import checking, timing
-from hybrid_jax.planner.lfd import optimal_chooser, phase_cell
+from hybrid_jax.planner import checking, smoothing
+from hybrid_jax.planner.bridging import bridge_gaps, rrt_bridger
+from hybrid_jax.planner.directly import joint_agent_only
+from hybrid_jax.planner.lfd import optimal_chooser
 from hybrid_jax.planner.loading import optimal_switcher, read_library
-from hybrid_jax.planner.pipeline import Planner, lfd_only, plan_motion
+from hybrid_jax.planner.pipeline import lfd_only, plan_batch, plan_motion
+from hybrid_jax.planner.records import Planner
+from hybrid_jax.planner.scenes import CARRYING, REACHING, inside, phase_scene, task_scenes
+from hybrid_jax.rrt import RrtConfig
 from hybrid_jax.simulation.execution import execute, start_data
 from hybrid_jax.skills.library import without
 from hybrid_jax.skills.task import handling_task, random_task, read_task, sample_scene
-from hybrid_jax.types import Status
+from hybrid_jax.types import Source, Status
 
 
 @pytest.fixture(scope="module")
 def planner(cell):
-    def bridge(scene, start, goal, key):
-        scenes = jax.tree.map(lambda a: a[None], scene)
-        ends = (jnp.asarray(q, jnp.float32)[None] for q in (start, goal))
-        return rrt.plan_paths(cell, scenes, *ends, key=key)[0]
-
-    return Planner(
-        cell, read_library(), optimal_chooser, bridge, optimal_switcher(SwitchConfig()), 0.1
-    )
+    """RRT-Connect in the joint agent's place."""
+    bridge, switch = rrt_bridger(cell, RrtConfig()), optimal_switcher(SwitchConfig())
+    return Planner(cell, read_library(), optimal_chooser, bridge, switch, 0.1)
 
 
 @pytest.fixture(scope="module")
 def planned(planner):
     task = random_task(planner.cell, 4)
     return task, plan_motion(planner, task, key=jax.random.key(0))
+
+
+@pytest.fixture(scope="module")
+def reaching(cell, planned):
+    """The cell in the scene of the first phase."""
+    return inside(cell, task_scenes(cell, planned[0]), 0)
 
 
 def test_a_task_is_planned_by_both_sources(planned):
@@ -65,8 +73,6 @@ def test_phases_join_and_end_where_the_task_says(cell, planned):
     for phase, pose in ((0, 1), (1, 4)):
         data.qpos[list(cell.source.layout.qpos)] = result.phases[phase].positions[-1]
         mujoco.mj_kinematics(cell.model, data)
-        from hybrid_jax.kernels import dualquat as dq
-
         wanted = np.asarray(dq.position(jnp.asarray(task.key_poses[pose])))
         assert np.linalg.norm(data.site_xpos[cell.source.layout.tool_site] - wanted) < 1.1e-3
 
@@ -113,6 +119,69 @@ def test_a_missing_demonstration_is_named(planner):
     assert result.status is Status.NEED_DEMO and "key pose 2 to 3" in result.detail
 
 
+def test_a_batch_answers_each_task_for_itself(planner, planned):
+    """A good task, one out of reach and one that does not belong here, in one call."""
+    task = planned[0]
+    far = np.array(task.key_poses)
+    far[2] = np.asarray(dq.from_parts(jnp.array([3.0, 0, 0.5]), jnp.asarray(far[2, :4])))
+    tasks = [task, replace(task, key_poses=far), replace(task, object_name="anvil")]
+    lax = replace(planner.config, skills=replace(planner.config.skills, tolerance=100.0))
+    good, out, unknown = plan_batch(replace(planner, config=lax), tasks, key=jax.random.key(0))
+    assert good.status is Status.OK and len(good.phases) == 3
+    assert out.status is Status.TASK_INFEASIBLE and out.detail == "key pose 2 is out of reach"
+    assert unknown.status is Status.INVALID_TASK and "unknown object 'anvil'" in unknown.detail
+
+
+def test_a_colliding_key_pose_is_named_with_what_it_touches(planner, planned):
+    task = planned[0]
+    low = np.array(task.key_poses)
+    down = dq.position(jnp.asarray(low[1])) - jnp.array([0, 0, 0.08])
+    low[1] = np.asarray(dq.from_parts(down, jnp.asarray(low[1, :4])))
+    lax = replace(planner.config, skills=replace(planner.config.skills, tolerance=100.0))
+    result = plan_motion(
+        replace(planner, config=lax), replace(task, key_poses=low), key=jax.random.key(0)
+    )
+    assert result.status is Status.TASK_INFEASIBLE
+    assert "key pose 1 collides in every configuration found: " in result.detail
+    assert "table" in result.detail
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"object_poses": np.zeros((2, 7))}, r"shape \(5, 7\), got \(2, 7\)"),
+        ({"object_poses": np.full((5, 7), np.nan)}, "object_poses: row 0 is not finite"),
+        ({"key_poses": np.full((6, 8), np.inf)}, "key_poses: row 0 is not finite"),
+    ],
+)
+def test_bad_numbers_are_refused_by_name(planner, planned, change, words):
+    result = plan_motion(planner, replace(planned[0], **change), key=jax.random.key(0))
+    assert result.status is Status.INVALID_TASK and not result.phases
+    assert re.search(words, result.detail), result.detail
+
+
+def test_a_start_outside_the_limits_is_clipped_if_rounding_did_it_else_refused(cell, planner):
+    high, poses = float(cell.joint_limits[1, 1]), sample_scene(cell, 4)
+    start = np.array(cell.home)
+    start[1] = high + 2e-4
+    task = handling_task(cell, "block_2", poses, start)
+    clipped = plan_motion(planner, task, key=jax.random.key(0))
+    assert "joint_2 starts at" in clipped.detail or clipped.status is not Status.START_INVALID
+    start[1] = high + 0.1
+    far = plan_motion(planner, handling_task(cell, "block_2", poses, start), key=jax.random.key(0))
+    assert far.status is Status.START_INVALID and "0.1 rad outside its limits" in far.detail
+    nan = replace(task, start=np.full(7, np.nan))
+    assert plan_motion(planner, nan, key=jax.random.key(0)).status is Status.START_INVALID
+
+
+def test_another_start_is_where_the_plan_begins(cell, planner):
+    start = np.array(cell.home) + np.float32(0.1)
+    task = handling_task(cell, "block_2", sample_scene(cell, 4), start)
+    result = plan_motion(planner, task, key=jax.random.key(0))
+    assert result.status is Status.OK, result.detail
+    np.testing.assert_allclose(result.phases[0].positions[0], start, atol=1e-5)
+
+
 def test_an_object_out_of_reach_is_infeasible_or_needs_a_demonstration(planner):
     poses = sample_scene(planner.cell, 4)
     poses[-1, :2] = [0.80, 0.28]
@@ -122,43 +191,123 @@ def test_an_object_out_of_reach_is_infeasible_or_needs_a_demonstration(planner):
     assert result.phases == [] and result.detail
 
 
+def test_the_fallback_bridges_what_the_joint_agent_does_not(planner, planned):
+    helpless = replace(planner, bridge=lambda segments, key: [None] * len(segments.start))
+    result = plan_motion(helpless, planned[0], key=jax.random.key(0))
+    assert result.status is Status.OK and result.shares[Source.RRT] > 0
+    assert result.shares[Source.DRL] == 0 and sum(result.shares.values()) == pytest.approx(1)
+    alone = replace(helpless, config=replace(planner.config, fallback=None))
+    result = plan_motion(alone, planned[0], key=jax.random.key(0))
+    assert result.status is Status.DRL_TIMEOUT
+    assert re.match(r"key pose \d to \d: no way around", result.detail)
+
+
+def test_a_seam_that_keeps_no_margin_is_reported(planner, planned):
+    config = replace(planner.config, smoothing=replace(planner.config.smoothing, margin=0.04))
+    result = plan_motion(replace(planner, config=config), planned[0], key=jax.random.key(0))
+    assert result.status is Status.SEAM_FAILED and result.detail.startswith("phase 0")
+
+
+def test_what_the_final_check_rejects_is_not_returned(planner, planned):
+    config = replace(planner.config, check=replace(planner.config.check, clearance=0.04))
+    result = plan_motion(replace(planner, config=config), planned[0], key=jax.random.key(0))
+    assert result.status is Status.COLLISION and not result.phases
+    assert "comes too close to" in result.detail
+
+
+def test_a_switch_that_prefers_collisions_is_overruled(planner, planned):
+    """The skill everywhere leads through the wall: the designed seams are what is returned."""
+    stubborn = replace(planner, switch=lambda combined: np.zeros(200, int))
+    result = plan_motion(stubborn, planned[0], key=jax.random.key(0))
+    assert result.status is Status.OK and result.shares[Source.DRL] > 0
+
+
+def test_the_joint_agent_alone_goes_from_event_to_event(cell, planner, planned):
+    result = joint_agent_only(planner, planned[0], key=jax.random.key(1))
+    assert result.status is Status.OK, result.detail
+    assert len(result.phases) == 3 and result.drl_share == 1.0
+    np.testing.assert_allclose(result.phases[2].positions[-1], cell.home, atol=1e-3)
+
+
 def test_the_final_check_sees_a_wall(cell, planned):
     task, result = planned
-    inside = phase_cell(cell, task, False, False)
+    engine, scene = checking.Engine(cell), phase_scene(cell, task, REACHING)
+    assert checking.collision_fault(engine, scene, result.phases[0].positions) is None
     q = np.array(result.phases[0].positions)
     reach = np.clip(q + np.linspace(0, 1, len(q))[:, None] * [1.2, 0, 0, 0, 0, 0, 0], -6, 6)
-    bad = replace(result.phases[0], positions=reach)
-    faults = checking.collision_faults(
-        inside, bad, task, carrying=False, opening=0.0425, poses=task.object_poses,
-        held_in_tool=np.array([0, 0, 0, 1.0, 0, 0, 0]),
-    )  # fmt: skip
-    assert len(faults) == 2, "kernels and engine both"
-    fast = replace(result.phases[0], velocities=result.phases[0].velocities * 9)
+    assert "touches" in checking.collision_fault(engine, scene, reach)
+
+
+def test_the_final_check_carries_the_object(cell, planned):
+    """Held low over the table, the object touches it; with the table as support it may."""
+    task, result = planned
+    scene = phase_scene(cell, task, CARRYING)
+    engine, first = checking.Engine(cell), result.phases[1].positions[:1].repeat(2, axis=0)
+    assert checking.collision_fault(engine, scene, first) is None
+    bare = replace(scene, support=())
+    assert "table" in checking.collision_fault(engine, bare, first)
+
+
+def test_the_final_check_sees_broken_limits_and_missed_poses(cell, planned):
+    task, result = planned
+    trajectory = result.phases[0]
+    fast = replace(trajectory, velocities=trajectory.velocities * 9)
     assert any("velocity limit of joint_" in f for f in checking.limit_faults(cell, fast))
+    rushed = replace(trajectory, times=trajectory.times / 9)
+    faults = checking.limit_faults(cell, rushed)
+    assert any("velocity" in f for f in faults) and any("acceleration" in f for f in faults)
+    jumped = np.array(trajectory.positions)
+    jumped[40:, 3] += 0.05
+    faults = checking.limit_faults(cell, replace(trajectory, positions=jumped))
+    assert any("joint_4" in f for f in faults)
+    still = replace(trajectory, times=np.zeros_like(trajectory.times))
+    assert any("do not grow" in f for f in checking.limit_faults(cell, still))
+    engine, scene = checking.Engine(cell), phase_scene(cell, task, REACHING)
+    end, pose = trajectory.positions[-1], checking.pose_row(task.key_poses[1])
+    assert checking.pose_fault(engine, scene, end, pose, "it") is None
+    off = pose + [0, 0, 0.01, 0, 0, 0, 0]
+    assert "it is missed by 10." in checking.pose_fault(engine, scene, end, off, "it")
 
 
-def test_rrt_paths_are_free_between_their_points(cell, planner, planned):
-    task, result = planned
-    inside = phase_cell(cell, task, False, False)
-    path = planner.bridge(
-        inside.scene,
-        cell.home,
-        result.phases[0].positions[-1].astype(np.float32),
-        jax.random.key(3),
-    )
-    dense = timing.densify(path, 0.03)
-    assert timing.path_clearance(inside, dense).min() > 0
-    np.testing.assert_allclose(path[0], cell.home)
+def test_what_was_demonstrated_is_hardly_smoothed(reaching, planned):
+    """A corner of the skill's hardly moves, the same corner of a detour does."""
+    q = planned[1].phases[0].positions
+    corner = np.stack([q[0], q[0] + np.eye(7)[0] * 0.4, q[0] + np.eye(7)[0] * 0.4 + np.eye(7)[6]])
+    away = []
+    for source in (Source.LFD, Source.DRL):
+        marks = np.full(3, source, np.uint8)
+        path, sources = smoothing.smooth(reaching, corner, marks, smoothing.SmoothingConfig())
+        assert (sources == source).all()
+        np.testing.assert_allclose(path[[0, -1]], corner[[0, -1]])
+        away.append(np.abs(path - corner[1]).max(axis=1).min())
+    # a Gaussian of 0.7 points moves a right-angled corner by about 0.3 points
+    assert away[0] < 0.3 * smoothing.SmoothingConfig().spacing and away[1] > 3 * away[0]
 
 
-def test_shortcut_never_leaves_the_margin(cell, planned):
-    task, result = planned
-    inside = phase_cell(cell, task, False, False)
-    q = result.phases[0].positions[::10]
-    before = float(jnp.min(jax.vmap(lambda x: clearance(inside, x))(jnp.asarray(q, jnp.float32))))
-    short = timing.shortcut(inside, q, min(0.002, before), timing.TimingConfig())
+def test_rrt_paths_are_free_between_their_points(cell, reaching, planner, planned):
+    end = planned[1].phases[0].positions[-1].astype(np.float32)
+    segment = single_segment(reaching.scene, cell.home, end)
+    path = planner.bridge(segment, jax.random.key(3))[0]
+    assert smoothing.path_clearance(reaching, smoothing.densify(path, 0.03)).min() > 0
+    np.testing.assert_allclose(path[[0, -1]], np.stack([cell.home, end]))
+
+
+def test_each_gap_says_who_bridged_it(cell, reaching, planner, planned):
+    end = planned[1].phases[0].positions[-1].astype(np.float32)
+    one = jax.tree.map(lambda a: a[0], single_segment(reaching.scene, cell.home, end))
+    picky = lambda segments, key: [None, *planner.bridge(segments, key)[1:]]  # noqa: E731
+    ways = bridge_gaps(picky, planner.bridge, [one, one, one], jax.random.key(0))
+    assert [way.source for way in ways] == [Source.RRT, Source.DRL, Source.DRL]
+    assert bridge_gaps(picky, None, [one], jax.random.key(0)) == [None]
+
+
+def test_shortcut_never_leaves_the_margin(reaching, planned):
+    q = planned[1].phases[0].positions[::10]
+    before = float(jnp.min(jax.vmap(lambda x: clearance(reaching, x))(jnp.asarray(q, jnp.float32))))
+    margin = min(0.002, before)
+    short = smoothing.shortcut(reaching, q, margin, smoothing.SmoothingConfig())
     assert np.abs(np.diff(short, axis=0)).sum() <= np.abs(np.diff(q, axis=0)).sum() + 1e-6
-    assert timing.path_clearance(inside, timing.densify(short, 0.02)).min() > min(0.0, before)
+    assert smoothing.path_clearance(reaching, smoothing.densify(short, 0.02)).min() > min(0, before)
 
 
 def test_export_has_the_layout_of_a_joint_trajectory(cell, planned):

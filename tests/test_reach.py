@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from hybrid_jax.agents import joint, networks, ppo, training
+from hybrid_jax.agents.segments import Segments, refuse_infeasible, single_segment, take
 from hybrid_jax.errors import SegmentError
 from hybrid_jax.kernels.collision import clearance
 from hybrid_jax.kernels.edges import edge_is_free
-from hybrid_jax.planner.harvest import Segments, refuse_infeasible
 from hybrid_jax.simulation.paperreach import PaperReachConfig, PaperReachWorld
 from hybrid_jax.simulation.reach import ReachConfig, ReachWorld
 
@@ -106,7 +106,7 @@ def test_the_bridger_returns_proven_paths_or_nothing(cell, segments, agent):
     bridge, found = joint.make_bridger(cell, net, policy, CONFIG), 0
     for i in range(6):
         scene = jax.tree.map(lambda a, i=i: a[i], segments.scene)
-        path = bridge(scene, segments.start[i], segments.goal[i], jax.random.key(i))
+        path = bridge(take(segments, slice(i, i + 1)), jax.random.key(i))[0]
         if path is None:
             continue
         found += 1
@@ -121,18 +121,22 @@ def test_the_bridger_returns_proven_paths_or_nothing(cell, segments, agent):
 
 
 def test_rollouts_stop_once_enough_have_arrived(world, segments, agent):
-    """Those that arrived by then are the same rollouts; nobody stands beyond the last step."""
+    """Those that arrived by then are the same rollouts; nobody stands beyond the last step.
+
+    Enough must arrive of each segment: the quick ones wait for the others.
+    """
     net, policy = agent
-    index, spread = jnp.arange(COUNT), jnp.zeros(COUNT)
+    index, spread = jnp.repeat(jnp.array([0, 5]), 6), jnp.tile(joint.spreads(6), 2)
     key = jax.random.key(0)
     (everyone, arrived), (few, early) = (
         jax.jit(lambda n=n: joint.rollouts(world, net, policy, index, spread, key, n))()
         for n in (None, 3)
     )
-    assert 3 <= early.sum() < arrived.sum() and arrived[np.asarray(early)].all()
     chosen = np.asarray(early)
+    assert (chosen.reshape(2, 6).sum(axis=1) >= 3).all() and arrived[chosen].all()
+    assert chosen.sum() < arrived.sum()
     np.testing.assert_allclose(few[:, chosen], everyone[:, chosen], atol=1e-5)
-    np.testing.assert_array_equal(few[0], segments.start)
+    np.testing.assert_array_equal(few[0], segments.start[index])
 
 
 def test_infeasible_ends_are_refused_by_name(cell, segments, agent):
@@ -147,7 +151,7 @@ def test_infeasible_ends_are_refused_by_name(cell, segments, agent):
         refuse_infeasible(cell, hit, 0.0)
     bridge = joint.make_bridger(cell, *agent, CONFIG)
     with pytest.raises(SegmentError, match="its goal"):
-        bridge(cell.scene, segments.start[0], low, jax.random.key(0))
+        bridge(single_segment(cell.scene, segments.start[0], low), jax.random.key(0))
 
 
 def test_a_wider_spread_is_bolder_and_none_is_the_mode(agent):

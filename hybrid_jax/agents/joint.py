@@ -11,18 +11,19 @@ import numpy as np
 from jax import Array
 
 from hybrid_jax.agents import networks, ppo, sac, worlds
+from hybrid_jax.agents.segments import Segments, refuse_infeasible, take
+from hybrid_jax.kernels.batching import padded_chunks
 from hybrid_jax.kernels.collision import clearance
-from hybrid_jax.kernels.edges import edge_is_free
-from hybrid_jax.planner.harvest import Segments, refuse_infeasible, single_segment
+from hybrid_jax.kernels.edges import paths_are_free
 from hybrid_jax.simulation.paperreach import PaperReachConfig, PaperReachWorld
 from hybrid_jax.simulation.reach import ReachConfig, ReachWorld
-from hybrid_jax.types import Scene, Workcell
+from hybrid_jax.types import Workcell
 
-Bridger = Callable[[Scene, np.ndarray, np.ndarray, Array], np.ndarray | None]
-"""(scene, start, goal, key) to collision-free way points from start to goal, or None."""
+Bridger = Callable[[Segments, Array], list[np.ndarray | None]]
+"""(segments, key) to collision-free way points from start to goal of each, or None."""
 
-PIECE = 16
-"""Way points of a path that are proven at once."""
+TOGETHER = 8
+"""Segments that are bridged in one call."""
 WIDEST = 1.5
 """Spread of the boldest rollout; the first follows the policy's mode, those between grow bolder."""
 
@@ -39,7 +40,7 @@ class JointAgentConfig:
     """Rollouts of one planning call."""
     enough: int = 16
     """Rollouts that must arrive before the others, which would be longer, are given up."""
-    candidates: int = 8
+    candidates: int = 4
     """Shortest rollouts among which the best is picked."""
     clearance_worth: float = 10.0
     """Way of the joints that a metre of clearance is worth [rad/m], ..."""
@@ -103,18 +104,20 @@ def rollouts(
         index: `[rollout]` segment of each.
         spread: `[rollout]` 0 for the policy's mode, 1 for its samples, see `networks.act`.
         key: consumed.
-        enough: stop once so many have arrived; all if None.
+        enough: stop once so many of each segment have arrived; all if None.
 
     Returns:
         Way points `[horizon + 2, rollout, joint]` that stay where an episode ended and close with
         the goal, and whether each reached it.
     """
     segments, count = world.segments, len(index)
-    wanted = count if enough is None else min(enough, count)
+    asked = jnp.zeros(segments.start.shape[0], int).at[index].add(1)
+    wanted = asked if enough is None else jnp.minimum(enough, asked)
 
     def going(carry):
         step, _, reached, _ = carry
-        return (step < world.config.horizon) & (jnp.sum(reached) < wanted)
+        arrived = jnp.zeros_like(wanted).at[index].add(reached)
+        return (step < world.config.horizon) & jnp.any(arrived < wanted)
 
     def advance(carry):
         step, state, reached, q = carry
@@ -200,40 +203,43 @@ def make_bridging(
     free is returned.
 
     Raises:
-        SegmentError: the function, if an end of its segment is outside the limits or not free.
+        SegmentError: the function, if an end of a segment is outside the limits or not free.
     """
     spread = spreads(config.rollouts)
 
     @jax.jit
     def run(policy, segments, key):
-        world = planning_world(cell, segments, config)
-        index = jnp.zeros(config.rollouts, int)
-        q, reached = rollouts(world, net, policy, index, spread, key, config.enough)
-        scene = jax.tree.map(lambda a: a[0], segments.scene)
-        return _best_first(cell.replace(scene=scene), q, reached, config)
-
-    @jax.jit
-    def prove(scene, path):
-        inside = cell.replace(scene=scene)
-        free, _ = jax.vmap(lambda a, b: edge_is_free(inside, a, b))(path[:-1], path[1:])
-        return jnp.all(free)
-
-    def proven(scene, path):
-        # in pieces of one size, so that there is one program; most paths are one piece
-        pieces = (path[first : first + PIECE] for first in range(0, len(path) - 1, PIECE - 1))
-        return all(
-            prove(scene, np.concatenate([piece, piece[-1:].repeat(PIECE - len(piece), axis=0)]))
-            for piece in pieces
+        world, count = planning_world(cell, segments, config), segments.start.shape[0]
+        index = jnp.repeat(jnp.arange(count), config.rollouts)
+        wide = jnp.tile(spread, count)
+        q, reached = rollouts(world, net, policy, index, wide, key, config.enough)
+        q = jnp.moveaxis(q.reshape(len(q), count, config.rollouts, -1), 1, 0)
+        rank = lambda scene, q, reached: _best_first(  # noqa: E731
+            cell.replace(scene=scene), q, reached, config
         )
+        return jax.vmap(rank)(segments.scene, q, reached.reshape(count, -1))
 
-    def bridge(policy, scene, start, goal, key):
-        one = single_segment(scene, start, goal)
-        refuse_infeasible(cell, one, 0.0)
-        for attempt in range(config.retries):
-            ranked, arrived = jax.device_get(run(policy, one, jax.random.fold_in(key, attempt)))
-            for path in map(_moved, ranked[arrived]):
-                if proven(scene, path):
-                    return path
-        return None
+    def attempt(policy, segments, key, ways, index):
+        """Bridge the segments `index`, as far as it goes."""
+        ranked, arrived = jax.device_get(run(policy, take(segments, index), key))
+        for rank in range(ranked.shape[1]):
+            rows = [r for r in range(len(index)) if ways[index[r]] is None and arrived[r, rank]]
+            paths = [_moved(ranked[r, rank]) for r in rows]
+            scenes = take(segments, index[rows]).scene if rows else None
+            for row, path, free in zip(
+                rows, paths, paths_are_free(cell, scenes, paths), strict=True
+            ):
+                if free:
+                    ways[index[row]] = path
+
+    def bridge(policy, segments, key):
+        refuse_infeasible(cell, segments, 0.0)
+        ways: list[np.ndarray | None] = [None] * segments.start.shape[0]
+        for number in range(config.retries):
+            missing = np.array([i for i, way in enumerate(ways) if way is None], int)
+            for part, (chunk, _) in enumerate(padded_chunks(len(missing), TOGETHER)):
+                key_part = jax.random.fold_in(jax.random.fold_in(key, number), part)
+                attempt(policy, segments, key_part, ways, missing[chunk])
+        return ways
 
     return bridge

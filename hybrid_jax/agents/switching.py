@@ -7,6 +7,7 @@ points; ours adds the jump and the switch. With two choices a step the optimum i
 `optimal_switching` is the oracle.
 """
 
+import functools
 from dataclasses import dataclass
 
 import jax
@@ -155,31 +156,29 @@ class SwitchWorld:
 
 
 def optimal_switching(data: Combined, config: SwitchConfig) -> tuple[np.ndarray, float]:
-    """Best choices `[STEPS]` and their total reward, by dynamic programming."""
-    points = np.asarray(point_reward(data, config))
-    q = np.asarray(data.q)
-    moves = np.asarray(step_reward(q[:, None, :-1], q[None, :, 1:], config))  # [from, to, step]
+    """Best choices `[STEPS]` and their total reward, by dynamic programming (Viterbi)."""
+    points, first, moves = (np.asarray(a, float) for a in _rewards(data, config))
     moves = moves - config.switch * (1 - np.eye(2))[:, :, None]
-    blocked = np.where(np.asarray(data.available) > 0, 0.0, -np.inf)
-    value = np.array(
-        [
-            points[0, 0],
-            -config.switch
-            + points[1, 0]
-            + blocked[0]
-            + float(step_reward(q[0, 0], q[1, 0], config)),
-        ]
-    )
-    back = np.zeros((STEPS, 2), int)
-    for t in range(1, STEPS):
-        total = value[:, None] + moves[:, :, t - 1]
-        back[t] = np.argmax(total, axis=0)
-        value = total.max(axis=0) + points[:, t] + np.array([0.0, blocked[t]])
+    points[1] = np.where(np.asarray(data.available) > 0, points[1], -np.inf)
+    (skill, agent), steps = points.tolist(), moves.transpose(2, 0, 1).tolist()
+    values, back = [skill[0], agent[0] + float(first) - config.switch], []
+    for t, ((stay, enter), (leave, keep)) in enumerate(steps, 1):
+        totals = (values[0] + stay, values[1] + leave), (values[0] + enter, values[1] + keep)
+        back.append([int(b > a) for a, b in totals])
+        values = [max(totals[0]) + skill[t], max(totals[1]) + agent[t]]
     choice = np.zeros(STEPS, int)
-    choice[-1] = int(np.argmax(value))
+    choice[-1] = int(values[1] > values[0])
     for t in range(STEPS - 1, 0, -1):
-        choice[t - 1] = back[t, choice[t]]
-    return choice, float(value.max())
+        choice[t - 1] = back[t - 1][choice[t]]
+    return choice, max(values)
+
+
+@functools.partial(jax.jit, static_argnames="config")
+def _rewards(data: Combined, config: SwitchConfig) -> tuple[Array, Array, Array]:
+    """Of points `[2, STEPS]`, of entering by the agent, and of moves `[from, to, STEPS - 1]`."""
+    q = data.q
+    moves = step_reward(q[:, None, :-1], q[None, :, 1:], config)
+    return point_reward(data, config), step_reward(q[0, 0], q[1, 0], config), moves
 
 
 def make_net(joints: int, config: SwitchConfig) -> networks.ActorCritic:

@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.custom_batching import custom_vmap
 
 CPU_CHUNK = 256
@@ -26,6 +27,24 @@ def batch_size(args) -> int:
 def map_items(function: Callable, args, size: int):
     """Apply `function` to the leaves that have one entry per item, passing shared ones through."""
     return jax.tree.map(lambda a: function(a) if a.shape[0] == size else a, args)
+
+
+def padded_chunks(count: int, size: int) -> list[tuple[np.ndarray, int]]:
+    """Indices 0 .. count - 1 in chunks of one size, so that few programs serve any count.
+
+    Where most of a chunk would be padding, each item is a chunk of its own. The last chunk repeats
+    its last index.
+
+    Returns:
+        Indices `[size]` or `[1]` of each chunk, and how many of them count.
+    """
+    if 2 * count <= size:
+        return [(np.array([i]), 1) for i in range(count)]
+    firsts = range(0, count, size)
+    return [
+        (np.minimum(np.arange(first, first + size), count - 1), min(size, count - first))
+        for first in firsts
+    ]
 
 
 def batched(kernel: Callable) -> Callable:

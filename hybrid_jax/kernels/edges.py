@@ -8,13 +8,20 @@ Mirtich 1996; Schwarzer, Saha and Latombe 2005 use the same bound).
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float
 
+from hybrid_jax.kernels.batching import padded_chunks
 from hybrid_jax.kernels.collision import clearance
 from hybrid_jax.kernels.inputs import checks, configuration
 from hybrid_jax.kernels.primitives import local_shapes, row_links
-from hybrid_jax.types import Workcell
+from hybrid_jax.types import Scene, Workcell
+
+PIECE = 32
+"""Way points of a path that are proven at once, ..."""
+PIECES = 4
+"""... in so many pieces of paths."""
 
 
 def motion_reach(cell: Workcell) -> Float[Array, "n"]:
@@ -76,3 +83,40 @@ def edge_is_free(
     phase, least = jax.lax.while_loop(going, advance, (jnp.clip(phase, 0.0, 1.0), first))
     least = jnp.minimum(least, last)
     return least >= margin + tolerance, least
+
+
+@jax.jit
+def _pieces_are_free(cell: Workcell, scenes: Scene, pieces: Array, margin: Array) -> Array:
+    def one(scene, piece):
+        inside = cell.replace(scene=scene)
+        free = jax.vmap(lambda a, b: edge_is_free(inside, a, b, margin)[0])
+        return jnp.all(free(piece[:-1], piece[1:]))
+
+    return jax.vmap(one)(scenes, pieces)
+
+
+def paths_are_free(
+    cell: Workcell, scenes: Scene, paths: list[np.ndarray], margin: float = 0.0
+) -> np.ndarray:
+    """Which paths are proven to keep the margin on every edge `[path]`.
+
+    Args:
+        cell: robot and fixtures.
+        scenes: one a path, stacked.
+        paths: `[point, joint]` each, of any lengths; none or one point is free.
+        margin: clearance to keep [m].
+    """
+    owners, pieces = [], []
+    for owner, path in enumerate(paths):
+        for first in range(0, len(path) - 1, PIECE - 1):
+            piece = path[first : first + PIECE]
+            pieces.append(np.concatenate([piece, piece[-1:].repeat(PIECE - len(piece), axis=0)]))
+            owners.append(owner)
+    free = np.ones(len(paths), bool)
+    for index, count in padded_chunks(len(pieces), PIECES):
+        rows = np.array([owners[i] for i in index])
+        block = np.stack([pieces[i] for i in index]).astype(np.float32)
+        scene = jax.tree.map(lambda a, rows=rows: a[rows], scenes)
+        found = np.asarray(_pieces_are_free(cell, scene, block, np.float32(margin)))
+        np.logical_and.at(free, rows[:count], found[:count])
+    return free

@@ -1,134 +1,207 @@
 # SPDX-License-Identifier: MIT
-"""The last word on a trajectory before it is returned: limits and collision, between points too.
+"""The last word on a trajectory before it is returned.
 
-Collision is checked twice: by the kernels, and by C MuJoCo, which shares no code with them.
+It shares no code with what plans: C MuJoCo for poses and collisions, differences of the timed
+points for velocities and accelerations.
 """
+
+import copy
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from hybrid_jax.planner.timing import densify, path_clearance
-from hybrid_jax.skills.task import Task
 from hybrid_jax.types import Trajectory, Workcell
-from hybrid_jax.workcell.contacts import may_collide
 from hybrid_jax.workcell.layout import moved_geoms
 
-MAX_STEP = 0.02
-"""Joint distance between checked configurations [rad]."""
+
+@dataclass(frozen=True)
+class CheckConfig:
+    """What a trajectory must keep."""
+
+    clearance: float = 0.0005
+    """Distance that the engine must see between what may not touch [m]."""
+    max_step: float = 0.02
+    """Joint distance between configurations that are checked [rad]."""
+    position_tolerance: float = 0.002
+    """Of a key pose [m], ..."""
+    rotation_tolerance: float = 0.0175
+    """... [rad] (1 deg)."""
+    slack: float = 1.01
+    """Factor on the velocity and acceleration limits."""
 
 
-def limit_faults(cell: Workcell, trajectory: Trajectory, slack: float = 1.02) -> list[str]:
-    """Sentences about joint, velocity and acceleration limits that are broken."""
-    low, high = np.asarray(cell.joint_limits).T
+@dataclass(frozen=True)
+class PhaseScene:
+    """What the engine has to know about a phase."""
+
+    poses: np.ndarray
+    """`[object, 7]` where the objects lie."""
+    opening: float
+    """Of each finger [m]."""
+    held: str | None
+    """Object in the gripper, ..."""
+    held_in_tool: np.ndarray | None
+    """... its pose `[7]` in the tool's frame, ..."""
+    support: tuple[str, ...]
+    """... and the bodies that it may touch."""
+
+
+def limit_faults(
+    cell: Workcell, trajectory: Trajectory, config: CheckConfig = CheckConfig()
+) -> list[str]:
+    """Sentences about joint, velocity and acceleration limits that are broken.
+
+    The stated velocities and accelerations count, and those that follow from the points.
+    """
+    numbers = trajectory.times, trajectory.positions, *_stated(trajectory)
+    if not all(np.isfinite(a).all() for a in numbers) or (np.diff(trajectory.times) <= 0).any():
+        return ["the trajectory holds numbers that are not finite, or times that do not grow"]
+    low, high = np.asarray(cell.joint_limits, float).T
+    speed = config.slack * np.asarray(cell.velocity_limits, float)
+    rate = config.slack * np.asarray(cell.chain.acceleration_limits, float)
+    q, dt = trajectory.positions, np.diff(trajectory.times)[:, None]
+    mean = np.diff(q, axis=0) / dt
+    change = np.diff(mean, axis=0) / ((dt[1:] + dt[:-1]) / 2)
+    stated = _stated(trajectory)
     checks = [
-        ("position", np.maximum(low - trajectory.positions, trajectory.positions - high) > 1e-4),
-        ("velocity", np.abs(trajectory.velocities) > slack * np.asarray(cell.velocity_limits)),
-        (
-            "acceleration",
-            np.abs(trajectory.accelerations) > slack * np.asarray(cell.chain.acceleration_limits),
-        ),
+        ("position", np.maximum(low - q, q - high) > 1e-4),
+        ("velocity", np.abs(stated[0]) > speed),
+        ("velocity", np.abs(mean) > speed),
+        ("acceleration", np.abs(stated[1]) > rate),
+        ("acceleration", np.abs(change) > rate),
     ]
-    return [
+    faults = [
         f"{kind} limit of {cell.joint_names[j]} broken at {trajectory.times[broken[:, j]][0]:.2f} s"
-        for kind, broken in checks
+        for kind, broken in ((k, _padded(b, len(q))) for k, b in checks)
         for j in np.flatnonzero(broken.any(axis=0))
     ]
+    return list(dict.fromkeys(faults))
 
 
-def engine_collision(
-    cell: Workcell,
-    q: np.ndarray,
-    poses: np.ndarray,
-    opening: float,
-    held: str | None,
-    held_in_tool: np.ndarray | None,
-    support: tuple[str, ...],
-) -> str | None:
-    """First collision that C MuJoCo finds along configurations, in words; None if there is none.
+def _stated(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    return trajectory.velocities, trajectory.accelerations
 
-    Args:
-        cell: for its model.
-        q: `[point, joint]` to check.
-        poses: `[object, 7]` where the objects lie.
-        opening: of each finger [m].
-        held: object in the gripper, or None.
-        held_in_tool: `[7]` its pose in the tool's frame.
-        support: bodies that the held object may touch.
-    """
-    model, layout = cell.model, cell.source.layout
-    data = mujoco.MjData(model)
-    robot = moved_geoms(model, layout)
-    for address, pose in zip(layout.object_qpos, poses, strict=True):
-        data.qpos[address : address + 7] = pose
-    data.qpos[[model.jnt_qposadr[j] for j in layout.fingers]] = opening
-    index = layout.object_names.index(held) if held else -1
-    held_body = layout.object_bodies[index] if held else -1
-    for row in q:
-        data.qpos[list(layout.qpos)] = row
-        mujoco.mj_kinematics(model, data)
-        if held:
-            _hang(model, data, layout, index, held_in_tool)
-        mujoco.mj_comPos(model, data)
-        mujoco.mj_collision(model, data)
-        for contact in data.contact[: data.ncon]:
-            fault = _fault(model, contact, robot, held_body, support)
-            if fault:
-                return fault
+
+def _padded(broken: np.ndarray, count: int) -> np.ndarray:
+    return np.concatenate([broken, np.zeros((count - len(broken), broken.shape[1]), bool)])
+
+
+def checked_points(positions: np.ndarray, max_step: float) -> np.ndarray:
+    """Configurations along a trajectory, `max_step` apart, whatever its speed."""
+    way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(positions, axis=0)).max(axis=1))])
+    count = int(np.ceil(way[-1] / max_step)) + 1
+    at = np.linspace(0.0, way[-1], max(2, count))
+    return np.stack([np.interp(at, way, column) for column in positions.T], axis=1)
+
+
+class Engine:
+    """C MuJoCo as the judge of configurations. One at a time uses it."""
+
+    def __init__(self, cell: Workcell, config: CheckConfig = CheckConfig()):
+        self.layout, self.config = cell.source.layout, config
+        self.model = model = copy.deepcopy(cell.model)
+        model.geom_margin[:] = config.clearance  # contacts are reported from this distance on
+        model.geom_gap[:] = 0.0
+        self.data = mujoco.MjData(model)
+        self.robot = np.asarray(moved_geoms(model, self.layout), bool)
+        self.joints = list(self.layout.qpos)
+        self.fingers = [model.jnt_qposadr[j] for j in self.layout.fingers]
+
+    def enter(self, scene: PhaseScene) -> None:
+        """Put the objects and the fingers where they are in a phase."""
+        self.scene = scene
+        for address, pose in zip(self.layout.object_qpos, scene.poses, strict=True):
+            self.data.qpos[address : address + 7] = pose
+        self.data.qpos[self.fingers] = scene.opening
+        names = self.layout.object_names
+        self.object = names.index(scene.held) if scene.held else -1
+        self.held_body = self.layout.object_bodies[self.object] if scene.held else -1
+        self.moving = self.robot | (self.model.geom_bodyid == self.held_body)
+
+    def place(self, q: np.ndarray) -> None:
+        """Put the arm, and what it holds, in a configuration."""
+        self.data.qpos[self.joints] = q
+        mujoco.mj_kinematics(self.model, self.data)
+        if self.scene.held:
+            self._hang()
+
+    def _hang(self) -> None:
+        data, site = self.data, self.layout.tool_site
+        held = np.asarray(self.scene.held_in_tool, float)
+        turn, quat, position = np.empty(4), np.empty(4), np.empty(3)
+        mujoco.mju_mat2Quat(turn, data.site_xmat[site])
+        mujoco.mju_mulPose(position, quat, data.site_xpos[site], turn,
+                           held[:3], held[3:])  # fmt: skip
+        address = self.layout.object_qpos[self.object]
+        data.qpos[address : address + 7] = np.concatenate([position, quat])
+        mujoco.mj_kinematics(self.model, data)
+
+    def collision(self, q: np.ndarray) -> str | None:
+        """What touches what in a configuration, in words; None if nothing does."""
+        self.place(q)
+        mujoco.mj_comPos(self.model, self.data)
+        mujoco.mj_collision(self.model, self.data)
+        count = self.data.ncon
+        if not count:
+            return None
+        pairs = self.data.contact.geom[:count]
+        near = np.flatnonzero(self.moving[pairs[:, 0]] | self.moving[pairs[:, 1]])
+        for (a, b), gap in zip(pairs[near], self.data.contact.dist[near], strict=True):
+            if gap < self.config.clearance and self._counts(int(a), int(b)):
+                names = [self.model.geom(g).name or self._body(g) for g in (a, b)]
+                how = "touches" if gap < 0 else "comes too close to"
+                return f"{names[0]} {how} {names[1]}"
+        return None
+
+    def _body(self, geom: int) -> str:
+        return self.model.body(self.model.geom_bodyid[geom]).name
+
+    def _counts(self, a: int, b: int) -> bool:
+        """Must these two not touch?"""
+        carried = [int(self.model.geom_bodyid[g]) == self.held_body for g in (a, b)]
+        if not any(carried):
+            return True
+        other = b if carried[0] else a
+        return not (self.robot[other] or self._body(other) in self.scene.support)
+
+    def tool(self, q: np.ndarray) -> tuple[np.ndarray, Rotation]:
+        """Position [m] and rotation of the tool."""
+        self.place(q)
+        site = self.layout.tool_site
+        turn = Rotation.from_matrix(self.data.site_xmat[site].reshape(3, 3))
+        return self.data.site_xpos[site].copy(), turn
+
+
+def pose_row(pose: np.ndarray) -> np.ndarray:
+    """`[7]` position [m] and quaternion of a unit dual quaternion `[8]`."""
+    pose = np.asarray(pose, float)
+    back, dual = np.empty(4), np.empty(4)
+    mujoco.mju_negQuat(back, pose[:4])
+    mujoco.mju_mulQuat(dual, pose[4:], back)
+    return np.concatenate([2 * dual[1:], pose[:4]])
+
+
+def collision_fault(engine: Engine, scene: PhaseScene, positions: np.ndarray) -> str | None:
+    """First collision along a joint path `[point, joint]` in words; None if there is none."""
+    engine.enter(scene)
+    for q in checked_points(positions, engine.config.max_step):
+        found = engine.collision(q)
+        if found:
+            return found
     return None
 
 
-def _hang(model, data, layout, index, held_in_tool) -> None:
-    """Put the held object where the tool carries it."""
-    turn, address = np.empty(4), layout.object_qpos[index]
-    mujoco.mju_mat2Quat(turn, data.site_xmat[layout.tool_site])
-    quat, position = np.empty(4), np.empty(3)
-    mujoco.mju_mulPose(
-        position,
-        quat,
-        data.site_xpos[layout.tool_site],
-        turn,
-        np.asarray(held_in_tool[:3], float),
-        np.asarray(held_in_tool[3:], float),
-    )
-    data.qpos[address : address + 7] = np.concatenate([position, quat])
-    mujoco.mj_kinematics(model, data)
-
-
-def _fault(model, contact, robot, held_body, support) -> str | None:
-    a, b = contact.geom
-    bodies = [int(model.geom_bodyid[g]) for g in (a, b)]
-    carried = [body == held_body for body in bodies]
-    moving = [bool(robot[g]) or c for g, c in zip((a, b), carried, strict=True)]
-    if contact.dist >= 0 or not any(moving) or not may_collide(model, a, b):
+def pose_fault(
+    engine: Engine, scene: PhaseScene, q: np.ndarray, pose: np.ndarray, name: str
+) -> str | None:
+    """A sentence if a configuration misses a pose `[7]` (position [m], quaternion); else None."""
+    engine.enter(scene)
+    position, turn = engine.tool(q)
+    away = float(np.linalg.norm(position - pose[:3]))
+    wanted = Rotation.from_quat(pose[3:], scalar_first=True)
+    turned = float((turn.inv() * wanted).magnitude())
+    if away <= engine.config.position_tolerance and turned <= engine.config.rotation_tolerance:
         return None
-    other = bodies[1] if carried[0] else bodies[0]
-    gripped = any(carried) and all(moving)  # fingers and what they hold
-    if gripped or (any(carried) and model.body(other).name in support):
-        return None
-    return f"{model.geom(a).name} touches {model.geom(b).name}"
-
-
-def collision_faults(
-    cell: Workcell,
-    trajectory: Trajectory,
-    task: Task,
-    *,
-    carrying: bool,
-    opening: float,
-    poses: np.ndarray,
-    held_in_tool: np.ndarray,
-) -> list[str]:
-    """Sentences about collisions of a phase: the kernels' verdict, then C MuJoCo's."""
-    dense = densify(trajectory.positions, MAX_STEP)
-    gap = path_clearance(cell, dense).min()
-    faults = [f"clearance falls to {1e3 * gap:.1f} mm"] if gap < 0 else []
-    found = engine_collision(
-        cell,
-        dense,
-        poses,
-        opening,
-        task.object_name if carrying else None,
-        held_in_tool if carrying else None,
-        task.support,
-    )
-    return faults + ([found] if found else [])
+    return f"{name} is missed by {1e3 * away:.1f} mm and {np.degrees(turned):.2f} deg"

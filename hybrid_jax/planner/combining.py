@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""traj_comb: the skill's and the joint agent's motion on one grid, and the choice between them"""
+"""traj_comb: the skill's and the joint agent's motion on one grid, and the choice between them."""
+
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
@@ -7,137 +9,146 @@ import numpy as np
 
 from hybrid_jax.agents.switching import STEPS, Combined
 from hybrid_jax.kernels.kinematics import manipulability
-from hybrid_jax.planner.harvest import bridge_ends, phase_options
-from hybrid_jax.planner.labelling import Bridge
-from hybrid_jax.planner.lfd import skill_path
-from hybrid_jax.skills.task import Task
-from hybrid_jax.types import Workcell
+from hybrid_jax.planner.smoothing import at_places
+from hybrid_jax.types import Source, Workcell
+
+LEAST = 20
+"""Grid points of a bridged gap, at least."""
 
 _manipulability = jax.jit(jax.vmap(manipulability, (None, 0)))
 
 
-def resample_path(path: np.ndarray, points: int) -> np.ndarray:
-    """`points` configurations evenly spaced along a polyline `[n, joint]`."""
-    length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
-    at = np.linspace(0, max(length[-1], 1e-9), points)
-    return np.stack([np.interp(at, length, column) for column in path.T], axis=1)
+@dataclass(frozen=True)
+class Window:
+    """A gap of a phase and the motion that bridges it."""
+
+    first: int
+    """Point of the skill's path at which it begins, ..."""
+    last: int
+    """... and ends."""
+    path: np.ndarray
+    """`[way point, joint]` from one to the other."""
+    source: Source
 
 
-def _grid(bridge: Bridge, drl: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """Skill point (fractional) at each grid point, and share of the joint agent's motion there.
+@dataclass(frozen=True)
+class PhasePath:
+    """One phase between gripper events: the skill's joint path and its bridged gaps."""
 
-    The share is NaN where the joint agent has no motion. Its window takes as many grid points as
-    its length asks for beside the skill's.
+    q: np.ndarray
+    """`[point, joint]`."""
+    feasible: np.ndarray
+    """`[point]`."""
+    windows: list[Window]
+    """In order, apart from each other."""
+
+
+def _length(q: np.ndarray) -> float:
+    return float(np.abs(np.diff(q, axis=0)).sum()) + 1e-6
+
+
+def _shares(lengths: list[float], least: list[int]) -> np.ndarray:
+    """Grid points of each part: at least so many, the others by length; `STEPS` in all."""
+    spare = STEPS - sum(least)
+    counts = np.array(least) + np.floor(spare * np.array(lengths) / sum(lengths)).astype(int)
+    counts[int(np.argmax(lengths))] += STEPS - counts.sum()
+    return counts
+
+
+def _grid(phase: PhasePath) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Place on the skill's path at each grid point, which window it is in (-1: none), and where.
+
+    Where is a share of the window's length. A window takes as many grid points as its length
+    asks for beside the skill's parts; the first point after it is its end.
     """
-    n = len(bridge.q)
-    if drl is None:
-        return np.linspace(0, n - 1, STEPS), np.full(STEPS, np.nan)
-    first, last = bridge_ends(bridge)
-    lengths = [
-        np.abs(np.diff(part, axis=0)).sum() if len(part) > 1 else 0.0
-        for part in (bridge.q[: first + 1], drl, bridge.q[last:])
-    ]
-    share = np.array(lengths) + 1e-6
-    inside = int(np.clip(round(STEPS * share[1] / share.sum()), 20, STEPS - 40))
-    before = int(
-        np.clip(round((STEPS - inside) * share[0] / (share[0] + share[2])), 1, STEPS - inside - 1)
-    )
-    skill = np.concatenate(
-        [
-            np.linspace(0, first, before, endpoint=False),
-            np.linspace(first, last, inside, endpoint=False),
-            np.linspace(last, n - 1, STEPS - before - inside),
-        ]
-    )
-    phase = np.full(STEPS, np.nan)
-    phase[before : before + inside + 1] = np.linspace(0, 1, inside + 1)
-    return skill, phase
+    cuts = [0, *(i for w in phase.windows for i in (w.first, w.last)), len(phase.q) - 1]
+    lengths, least = [], []
+    for number, (low, high) in enumerate(zip(cuts[:-1], cuts[1:], strict=True)):
+        window = number % 2
+        part = phase.windows[number // 2].path if window else phase.q[low : high + 1]
+        lengths.append(_length(part))
+        least.append(LEAST if window else 1)
+    counts = _shares(lengths, least)
+    skill, inside, where = [], [], []
+    for number, (low, high, count) in enumerate(zip(cuts[:-1], cuts[1:], counts, strict=True)):
+        last = number == len(counts) - 1
+        skill.append(np.linspace(low, high, count, endpoint=last))
+        inside.append(np.full(count, number // 2 if number % 2 else -1))
+        where.append(np.linspace(0, 1, count, endpoint=False))
+    return np.concatenate(skill), np.concatenate(inside), np.concatenate(where)
 
 
-def combine(cell: Workcell, bridge: Bridge, drl: np.ndarray | None, scale: float) -> Combined:
+def _places(path: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    """Places, in points of a polyline `[n, joint]`, of shares of its length."""
+    length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    return np.interp(shares, length / max(length[-1], 1e-9), np.arange(len(path)))
+
+
+def _portion(path: np.ndarray, low: float, high: float) -> np.ndarray:
+    """The part of a polyline between two places, with all its points."""
+    inner = np.arange(np.floor(low) + 1, np.ceil(high))
+    return at_places(path, np.unique(np.concatenate([[low], inner, [high]])))
+
+
+def combine(cell: Workcell, phase: PhasePath, scale: float) -> Combined:
     """Both motions of a phase on the grid of the switching agent.
 
     Args:
         cell: for manipulability.
-        bridge: the skill's joint path and its infeasible part.
-        drl: way points of the joint agent from one end of the bridge to the other, or None.
+        phase: the skill's joint path and the motions that bridge its gaps.
         scale: manipulability that counts as 1.
     """
-    skill, phase = _grid(bridge, drl)
-    points = np.arange(len(bridge.q))
-    q_skill = np.stack([np.interp(skill, points, column) for column in bridge.q.T], axis=1)
-    bad = (
-        ~bridge.feasible[np.floor(skill).astype(int)] | ~bridge.feasible[np.ceil(skill).astype(int)]
-    )
-    available = ~np.isnan(phase)
+    skill, inside, where = _grid(phase)
+    q_skill = at_places(phase.q, skill)
+    fine = phase.feasible[np.floor(skill).astype(int)] & phase.feasible[np.ceil(skill).astype(int)]
     q_drl = q_skill.copy()
-    if drl is not None:
-        fine = resample_path(drl, 400)
-        at = np.clip(np.nan_to_num(phase) * 399, 0, 399)
-        moving = np.stack([np.interp(at, np.arange(400), column) for column in fine.T], axis=1)
-        q_drl[available] = moving[available]
+    for number, window in enumerate(phase.windows):
+        here = inside == number
+        q_drl[here] = at_places(window.path, _places(window.path, where[here]))
+    available = (inside >= 0).astype(np.float32)
     q = np.stack([q_skill, q_drl]).astype(np.float32)
-    man = np.asarray(_manipulability(cell, jnp.asarray(q.reshape(-1, q.shape[-1]))))
-    collision = np.stack([bad.astype(np.float32), np.where(available, 0.0, 1.0)])
+    man = np.asarray(_manipulability(cell, q.reshape(-1, q.shape[-1])))
     return Combined(
         jnp.asarray(q),
-        jnp.asarray(np.clip(man / scale, 0, 1).reshape(2, STEPS)),
-        jnp.asarray(collision, jnp.float32),
-        jnp.asarray(available, jnp.float32),
+        jnp.asarray(np.clip(man / scale, 0, 1).reshape(2, STEPS).astype(np.float32)),
+        jnp.asarray(np.stack([~fine, available == 0]).astype(np.float32)),
+        jnp.asarray(available),
     )
 
 
-def assemble(
-    combined: Combined, choice: np.ndarray, bridge: Bridge, drl: np.ndarray | None
-) -> tuple[np.ndarray, np.ndarray]:
+def follow_windows(phase: PhasePath) -> tuple[np.ndarray, np.ndarray]:
+    """The skill, but every gap as it was bridged: way points and the source of each."""
+    parts, sources, at = [], [], 0
+    for window in phase.windows:
+        parts += [phase.q[at : window.first + 1], window.path[1:-1]]
+        sources += [Source.LFD, window.source]
+        at = window.last
+    parts.append(phase.q[at:])
+    sources.append(Source.LFD)
+    marks = [np.full(len(p), s, np.uint8) for p, s in zip(parts, sources, strict=True)]
+    return np.concatenate(parts), np.concatenate(marks)
+
+
+def assemble(choice: np.ndarray, phase: PhasePath) -> tuple[np.ndarray, np.ndarray]:
     """The chosen joint path `[point, joint]` and the source of each point.
 
-    Where the joint agent runs from one end of its motion to the other its own way points are
-    kept: a grid would cut their corners.
+    The way points of skill and windows are kept: the grid would cut their corners.
     """
-    q = np.asarray(combined.q)
-    choice = np.asarray(choice)
-    available = np.asarray(combined.available) > 0
-    if drl is None or not (choice == available).all():
-        return q[choice, np.arange(STEPS)], choice.astype(np.uint8)
-    window = np.flatnonzero(available)
-    before, after = q[0, : window[0]], q[0, window[-1] + 1 :]
-    sources = np.concatenate([np.zeros(len(before)), np.ones(len(drl)), np.zeros(len(after))])
-    return np.concatenate([before, drl, after]), sources.astype(np.uint8)
-
-
-def task_problems(planner, task: Task, key) -> list[Combined]:
-    """traj_comb of every phase of a task whose infeasible part the joint agent bridges."""
-    return [
-        combine(options.cell, bridge, drl, planner.scale)
-        for options, bridge, drl in _bridged(planner, task, key)
-        if drl is not None
-    ]
-
-
-def skill_problems(planner, task: Task) -> list[Combined]:
-    """The skill's own motion of every phase of a task, infeasible parts and all."""
-    return [
-        combine(options.cell, bridge, None, planner.scale)
-        for options, bridge, _ in _bridged(planner, task, jax.random.key(0))
-    ]
-
-
-def _bridged(planner, task: Task, key):
-    """Options, best bridge and the joint agent's motion of each phase, until one has no option."""
-    path = skill_path(planner.library, task, planner.choose, planner.config.skills)
-    start = np.asarray(planner.cell.home)
-    for phase, poses in enumerate(path.phases):
-        key_ik, key_drl = jax.random.split(jax.random.fold_in(key, phase))
-        options = phase_options(
-            planner.cell, task, phase, poses, start, planner.scale, planner.config.labels, key_ik
-        )
-        if not options.bridges:
-            return
-        bridge = options.bridges[0]
-        drl = None
-        if bridge.first != bridge.last and planner.bridge is not None:
-            first, last = bridge_ends(bridge)
-            drl = planner.bridge(options.cell.scene, bridge.q[first], bridge.q[last], key_drl)
-        yield options, bridge, drl
-        start = bridge.q[-1]
+    skill, inside, where = _grid(phase)
+    choice = np.asarray(choice) * (inside >= 0)
+    kind = np.where(choice == 1, inside, -1)
+    cuts = np.flatnonzero(np.diff(kind)) + 1
+    parts, sources = [], []
+    for low, high in zip([0, *cuts], [*cuts, STEPS], strict=True):
+        number, last = int(kind[low]), high - 1
+        if number < 0:
+            parts.append(_portion(phase.q, skill[low], skill[last]))
+            sources.append(Source.LFD)
+            continue
+        window = phase.windows[number]
+        ends = last + 1 == STEPS or inside[last + 1] != number
+        share = np.array([where[low], 1.0 if ends else where[last]])
+        parts.append(_portion(window.path, *_places(window.path, share)))
+        sources.append(window.source)
+    marks = [np.full(len(p), s, np.uint8) for p, s in zip(parts, sources, strict=True)]
+    return np.concatenate(parts), np.concatenate(marks)

@@ -1,64 +1,81 @@
 # SPDX-License-Identifier: MIT
-"""The joint-space agent alone: from key pose to key pose, without demonstrations.
+"""A bridger alone: from gripper event to gripper event, without demonstrations.
 
-The paper's "DRL" method. It has no skills, so between gripper events it goes straight for the
-next configuration in one piece.
+With the joint agent this is the paper's "DRL" method. It has no skills, so it goes straight for
+the next configuration in one piece.
 """
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from hybrid_jax.planner import pipeline, timing
-from hybrid_jax.planner.harvest import PhaseOptions
-from hybrid_jax.planner.labelling import end_branches
-from hybrid_jax.planner.lfd import phase_cell
+from hybrid_jax.agents.segments import single_segment
+from hybrid_jax.planner import smoothing
+from hybrid_jax.planner.checking import Engine
+from hybrid_jax.planner.finishing import find_faults, time_path
+from hybrid_jax.planner.labelling import find_candidates
+from hybrid_jax.planner.records import Planner, PlanResult
+from hybrid_jax.planner.refusing import admit
+from hybrid_jax.planner.scenes import inside, task_scenes
 from hybrid_jax.skills.task import Task
-from hybrid_jax.types import Status
+from hybrid_jax.types import Scene, Source, Status
 
 
-def joint_agent_only(planner: pipeline.Planner, task: Task, *, key) -> pipeline.PlanResult:
-    """Plan a task with the joint agent alone; checked like every plan."""
+def joint_agent_only(planner: Planner, task: Task, *, key) -> PlanResult:
+    """Plan a task with the planner's bridger alone; checked like every plan."""
     if planner.bridge is None:
-        raise ValueError("the planner has no joint agent")
-    phases, start = [], np.asarray(planner.cell.home)
-    for phase, (low, high) in enumerate(task.phases):
-        carrying = task.carrying[low]
-        placed = not carrying and any(task.carrying[:low])
-        cell = phase_cell(planner.cell, task, carrying, placed)
-        key_ik, key_drl = jax.random.split(jax.random.fold_in(key, phase))
-        if high == len(task.carrying):
-            goals = np.asarray(cell.home)[None]
-        else:
-            found, free = end_branches(
-                cell,
-                jnp.asarray(task.key_poses[high]),
-                jnp.asarray(start),
-                key=key_ik,
-                config=planner.config.labels,
-            )
-            goals = np.asarray(found)[np.asarray(free)]
-        if not len(goals):
-            return pipeline.PlanResult(Status.TASK_INFEASIBLE, f"phase {phase}: no configuration")
-        goal = goals[np.abs(goals - start).max(axis=1).argmin()]
-        path = planner.bridge(cell.scene, start, goal, key_drl)
-        if path is None:
-            return pipeline.PlanResult(
-                Status.DRL_TIMEOUT, f"phase {phase}: {Status.DRL_TIMEOUT.sentence}"
-            )
-        short = timing.shortcut(
-            cell,
-            timing.densify(path, planner.config.finishing.spacing),
-            planner.config.labels.margin,
-            planner.config.finishing,
+        raise ValueError("the planner has no bridger")
+    task, note, refusal = admit(planner.cell, task)
+    if refusal:
+        return refusal
+    scenes, engine = task_scenes(planner.cell, task), Engine(planner.cell, planner.config.check)
+    phases, start = [], np.asarray(task.start)
+    for phase in range(len(task.phases)):
+        key_phase = jax.random.fold_in(key, phase)
+        found = _plan_phase(
+            planner, planner.bridge, engine, task, scenes, phase, start, key_phase
         )
-        options = PhaseOptions(cell, task.key_poses[low : high + 1], [])
-        trajectory = pipeline.finish(planner, options, short, np.ones(len(short), np.uint8))
-        if trajectory is None:
-            return pipeline.PlanResult(Status.SEAM_FAILED, f"phase {phase}: smoothing failed")
-        faults = pipeline.find_faults(planner, task, phase, options, trajectory)
-        if faults:
-            return pipeline.PlanResult(Status.COLLISION, f"phase {phase}: {'; '.join(faults)}")
-        phases.append(trajectory)
-        start = trajectory.positions[-1].astype(np.float32)
-    return pipeline.PlanResult(Status.OK, Status.OK.sentence, phases)
+        if isinstance(found, PlanResult):
+            return found
+        phases.append(found)
+        start = found.positions[-1].astype(np.float32)
+    return PlanResult(Status.OK, f"{Status.OK.sentence} {note}".strip(), phases)
+
+
+def _goal(planner: Planner, task: Task, scenes: Scene, phase: int, start, key):
+    """Configuration at the end of a phase, the nearest to the start; None if there is none."""
+    low, high = task.phases[phase]
+    if high == len(task.carrying):
+        return np.asarray(planner.cell.home)
+    before, after = (jax.tree.map(lambda a, i=i: a[i], scenes) for i in (low, high))
+    found, usable, _ = jax.device_get(find_candidates(
+        planner.cell, before, after, task.key_poses[high], planner.scale, key,
+        planner.config.labels,
+    ))  # fmt: skip
+    goals = found[usable]
+    return goals[np.abs(goals - start).max(axis=1).argmin()] if len(goals) else None
+
+
+def _plan_phase(
+    planner: Planner, bridge, engine, task: Task, scenes: Scene, phase: int, start, key
+):
+    """The trajectory of one phase, or why there is none."""
+    key_ik, key_bridge = jax.random.split(key)
+    goal, low = _goal(planner, task, scenes, phase, start, key_ik), task.phases[phase][0]
+    if goal is None:
+        return PlanResult(Status.TASK_INFEASIBLE, f"phase {phase}: no configuration at its end")
+    cell = inside(planner.cell, scenes, low)
+    path = bridge(single_segment(cell.scene, start, goal), key_bridge)[0]
+    if path is None:
+        return PlanResult(
+            Status.DRL_TIMEOUT, f"phase {phase}: {Status.DRL_TIMEOUT.sentence}"
+        )
+    short = smoothing.shortcut(
+        cell, path, planner.config.labels.margin, planner.config.smoothing
+    )
+    trajectory = time_path(planner, cell, short, np.full(len(short), Source.DRL, np.uint8))
+    if trajectory is None:
+        return PlanResult(Status.SEAM_FAILED, f"phase {phase}: {Status.SEAM_FAILED.sentence}")
+    faults = find_faults(planner, engine, cell, task, phase, trajectory)
+    if faults:
+        return PlanResult(Status.COLLISION, f"phase {phase}: {'; '.join(faults)}")
+    return trajectory

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""From a path of tool poses to joint paths, and which of their points are feasible.
+"""From tool poses to joint paths, and which of their points are feasible.
 
-The paper's FJ and not-FJ (section "Hybrid Motion Planning with RL based Switching Agent"). One
-joint path follows the poses from where the robot is; others follow them backwards from solutions
-of the last pose. The longest feasible beginning and the longest feasible end bound the part that
-the joint agent has to bridge.
+The paper's FJ and not-FJ (section "Hybrid Motion Planning with RL based Switching Agent"). Every
+key pose has a few candidate configurations. From each of them a joint path follows the poses of
+the next unit segment, and one follows those of the segment before backwards; `planner.routing`
+chooses among them over the whole task at once. All tasks of a batch are labelled in one program.
 """
 
 import functools
@@ -12,17 +12,13 @@ from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
-from jaxtyping import Float
+from jaxtyping import Float, PRNGKeyArray
 
 from hybrid_jax.ik import IkConfig, solve_ik, track_poses
-from hybrid_jax.kernels.collision import clearance
+from hybrid_jax.kernels.collision import clearance_up_to
 from hybrid_jax.kernels.kinematics import manipulability
-from hybrid_jax.types import Workcell, pytree
-
-MAX_POINTS = 160
-"""Poses that a phase is padded to: one trace for all phases."""
+from hybrid_jax.types import Scene, Workcell, pytree
 
 
 @dataclass(frozen=True)
@@ -30,162 +26,167 @@ class LabelConfig:
     """What makes a way point feasible."""
 
     margin: float = 0.004
-    """Clearance to keep [m]."""
+    """Clearance to keep [m], ..."""
+    key_margin: float = 0.001
+    """... and that a key pose, and `near_key` points beside it, must keep: it is what the task asks
+    for, and where a gripper works it works close to things."""
+    near_key: int = 9
+    """Way points."""
     least_manipulability: float = 0.1
     """Smallest `man'`, as a share of the map's scale."""
     max_jump: float = 0.3
     """Largest change of a joint between neighbours on one branch [rad]."""
-    branches: IkConfig = IkConfig(seeds=24, iterations=50)
-    """Search for end configurations."""
-    tracking: IkConfig = IkConfig(iterations=8)
+    candidates: int = 4
+    """Configurations of a key pose that are followed, those nearest to home."""
+    search: IkConfig = IkConfig(seeds=24, iterations=50)
+    """Search for them."""
+    tracking: IkConfig = IkConfig(iterations=4)
     """Following a path."""
+    arrived: float = 1e-3
+    """A path that must end in one configuration has done so this near to it [rad]."""
 
 
 @pytree
-class LabelledPath:
-    """One joint path along a phase's poses."""
+class Labels:
+    """Candidates of the key poses of one task and the joint paths between them."""
 
-    q: Array
-    """`[point, joint]`."""
-    feasible: Array
-    """`[point]`."""
+    candidates: Array
+    """`[key pose, candidate, joint]`."""
+    usable: Array
+    """`[key pose, candidate]` feasible in the scenes before and after the key pose."""
+    reached: Array
+    """`[key pose]` an arm without limits on clearance and manipulability could be there."""
+    kept: Array
+    """`[segment, candidate]` the path from a candidate is feasible and ends in the candidate of
+    the same number of the next key pose."""
+    ahead: Array
+    """`[segment, candidate, point, joint]` from the candidates of the segment's first pose."""
+    ahead_ok: Array
+    """`[segment, candidate, point]` is the point feasible?"""
+    back: Array
+    """`[segment, candidate, point, joint]` from those of its last, in the order of the poses."""
+    back_ok: Array
+    """`[segment, candidate, point]`."""
 
 
-@dataclass(frozen=True)
-class Bridge:
-    """A phase's joint path and the part of it that is infeasible."""
-
-    q: np.ndarray
-    """`[point, joint]` the skill's joint path: branch of the start, then branch of the end."""
-    feasible: np.ndarray
-    """`[point]`."""
-    first: int
-    """Last point of the feasible beginning: the joint agent starts here."""
-    last: int
-    """First point of the feasible end: the joint agent's goal; `first` if there is no gap."""
-
-
-def _judge(cell: Workcell, q: Array, found: Array, scale: Array, config: LabelConfig) -> Array:
-    gap = jax.vmap(clearance, (None, 0))(cell, q)
+def _judge(
+    cell: Workcell, q: Array, margin: float | Array, scale: Array, config: LabelConfig
+) -> Array:
+    """Which configurations `[point, joint]` are feasible."""
+    gap = jax.vmap(lambda one: clearance_up_to(cell, one, config.margin))(q)
     man = jax.vmap(manipulability, (None, 0))(cell, q)
-    jump = jnp.max(jnp.abs(jnp.diff(q, axis=0, prepend=q[:1])), axis=-1)
-    return (
-        found
-        & (gap >= config.margin)
-        & (man >= config.least_manipulability * scale)
-        & (jump <= config.max_jump)
-    )
+    return (gap >= margin) & (man >= config.least_manipulability * scale)
 
 
-@functools.partial(jax.jit, static_argnames="config")
 def follow(
     cell: Workcell,
     poses: Float[Array, "point 8"],
     start: Float[Array, "n"],
     scale: Array,
     config: LabelConfig,
-) -> LabelledPath:
-    """Joint path along the poses from a configuration, each point judged."""
-    q, found = track_poses(cell, poses, start, config.tracking)
-    return LabelledPath(q, _judge(cell, q, found, scale, config))
-
-
-@functools.partial(jax.jit, static_argnames="config")
-def end_branches(
-    cell: Workcell,
-    pose: Float[Array, "8"],
-    reference: Float[Array, "n"],
-    *,
-    key,
-    config: LabelConfig,
 ) -> tuple[Array, Array]:
-    """Solutions `[seed, joint]` of a pose and whether each is free of collision `[seed]`."""
-    solved = solve_ik(cell, pose, reference, config.branches, key=key)
-    gap = jax.vmap(clearance, (None, 0))(cell, solved.branches)
-    return solved.branches, solved.branch_found & (gap >= config.margin)
+    """Joint path `[point, joint]` along poses from a configuration; which points are feasible."""
+    q, found = track_poses(cell, poses, start, config.tracking)
+    jump = jnp.max(jnp.abs(jnp.diff(q, axis=0, prepend=start[None])), axis=-1)
+    point = jnp.arange(len(poses))
+    beside = jnp.minimum(point, len(poses) - 1 - point) < config.near_key
+    margin = jnp.where(beside, config.key_margin, config.margin)
+    return q, found & _judge(cell, q, margin, scale, config) & (jump <= config.max_jump)
 
 
 @functools.partial(jax.jit, static_argnames="config")
-def _follow_backwards(cell, poses, ends, scale, config):
-    back = jax.vmap(lambda q: follow(cell, poses[::-1], q, scale, config))(ends)
-    return jax.tree.map(lambda a: a[:, ::-1], back)
-
-
-def pad_poses(poses: np.ndarray) -> np.ndarray:
-    """Repeat the last pose up to `MAX_POINTS`."""
-    if len(poses) > MAX_POINTS:
-        raise ValueError(f"a phase has at most {MAX_POINTS} poses, got {len(poses)}")
-    return np.concatenate([poses, poses[-1:].repeat(MAX_POINTS - len(poses), 0)])
-
-
-def _beginning(feasible: np.ndarray) -> int:
-    """Number of leading feasible points."""
-    return int(np.argmin(np.append(feasible, False)))
-
-
-def _join(
-    ahead: np.ndarray, back: np.ndarray, prefix: int, last: int, good: np.ndarray, max_jump: float
-) -> Bridge:
-    """Beginning of one joint path and end of another as one, with the part between them marked.
-
-    Args:
-        ahead: `[n, joint]` feasible up to point `prefix - 1`.
-        back: `[n, joint]` feasible from point `last` on.
-        good: `[n]` feasibility of `back`.
-    """
-    n = len(ahead)
-    first = prefix - 1
-    if last <= first:  # both are feasible in between: change over where they are nearest
-        jumps = np.abs(ahead[last - 1 : first + 1][: n - last] - back[last : first + 2]).max(axis=1)
-        change = last - 1 + int(np.argmin(jumps)) if last else 0
-        first, last = change, change + 1
-        if jumps.min() <= max_jump:
-            return Bridge(
-                np.concatenate([ahead[:last], back[last:]]), np.ones(n, bool), first, first
-            )
-    q = np.concatenate([ahead[:last], back[last:]])
-    feasible = np.arange(n) <= first
-    return Bridge(q, np.where(np.arange(n) >= last, good, feasible), first, last)
-
-
-def bridges(
+def find_candidates(
     cell: Workcell,
-    poses: np.ndarray,
-    start: np.ndarray,
-    ends: np.ndarray,
-    scale: float,
+    before: Scene,
+    after: Scene,
+    pose: Float[Array, "8"],
+    scale: Array,
+    key: PRNGKeyArray,
     config: LabelConfig,
-    *,
-    exact_end: bool = False,
-) -> list[Bridge]:
-    """Ways to run through a phase, the least infeasible first; empty where none has both ends.
+) -> tuple[Array, Array, Array]:
+    """Configurations of a key pose, those nearest to home first.
+
+    Returns:
+        Candidates `[candidate, joint]`, which of them are feasible in the scenes before and after
+        the key pose `[candidate]`, and whether the pose is within reach at all.
+    """
+    solved = solve_ik(cell, pose, cell.home, config.search, key=key)
+    q, both = solved.branches, jax.tree.map(lambda a, b: jnp.stack([a, b]), before, after)
+
+    def judge(scene):
+        return _judge(cell.replace(scene=scene), q, config.key_margin, scale, config)
+
+    usable = solved.branch_distinct & jnp.all(jax.vmap(judge)(both), axis=0)
+    away = jnp.max(jnp.abs(q - cell.home), axis=-1)
+    best = jnp.argsort(jnp.where(usable, away, jnp.inf))[: config.candidates]
+    return q[best], usable[best], solved.found
+
+
+def label(
+    cell: Workcell,
+    scenes: Scene,
+    poses: Float[Array, "segment point 8"],
+    ends: Float[Array, "2 n"],
+    scale: Array,
+    key: PRNGKeyArray,
+    config: LabelConfig,
+) -> Labels:
+    """Label one task.
 
     Args:
-        cell: in the scene of the phase.
-        poses: `[n, 8]` tool path, n at most `MAX_POINTS`.
-        start: `[joint]` configuration at the first pose.
-        ends: `[branch, joint]` configurations at the last pose.
+        cell: robot and fixtures.
+        scenes: of each unit segment.
+        poses: of each unit segment; the last of one is the first of the next.
+        ends: configurations to start from and to end in.
         scale: manipulability that counts as 1.
+        key: draws the seeds of the search; consumed.
         config: thresholds.
-        exact_end: the phase must end in one of `ends`; else any branch of the last pose will do.
     """
-    n = len(poses)
-    padded = jnp.asarray(pad_poses(poses))
-    ahead = jax.device_get(follow(cell, padded, jnp.asarray(start), scale, config))
-    prefix = _beginning(ahead.feasible[:n])
-    if prefix == 0:
-        return []
-    arrived = np.abs(ahead.q[n - 1] - ends).max(axis=1).min() < 0.5 * config.max_jump
-    if prefix == n and (arrived or not exact_end):
-        return [Bridge(ahead.q[:n], ahead.feasible[:n], n - 1, n - 1)]
-    back = jax.device_get(_follow_backwards(cell, padded, jnp.asarray(ends), scale, config))
-    found = []
-    for q, feasible in zip(back.q[:, :n], back.feasible[:, :n], strict=True):
-        last = n - _beginning(feasible[::-1])
-        if last == n:
-            continue
-        bridge = _join(ahead.q[:n], q, prefix, max(last, 1), feasible, config.max_jump)
-        away = float(np.max(np.abs(bridge.q[bridge.last] - bridge.q[bridge.first])))
-        found.append(((bridge.last - bridge.first) // 8, away, bridge))
-    found.sort(key=lambda item: item[:2])
-    return [bridge for _, _, bridge in found]
+    count, size = poses.shape[0], config.candidates
+    before, after = (jax.tree.map(lambda a, p=p: a[p], scenes) for p in (slice(-1), slice(1, None)))
+    keys = jax.random.split(key, count - 1)
+    found, fine, reached = jax.vmap(lambda b, a, pose, key: find_candidates(
+        cell, b, a, pose, scale, key, config))(before, after, poses[:-1, -1], keys)  # fmt: skip
+    only = jnp.arange(size) == 0
+    goal = jnp.broadcast_to(ends[1], (1, size, ends.shape[1]))
+    found, fine = jnp.concatenate([found, goal]), jnp.concatenate([fine, only[None]])
+    beyond = jax.tree.map(lambda a: jnp.concatenate([a[1:], a[-1:]]), scenes)
+    last = jnp.arange(count) == count - 1
+
+    def advance(carry, part):
+        q, usable = carry
+        scene, beyond, path, found, fine, last = part
+        inside = cell.replace(scene=scene)
+        ahead, ok = jax.vmap(lambda one: follow(inside, path, one, scale, config))(q)
+        onward = cell.replace(scene=beyond)
+        there = _judge(onward, ahead[:, -1], config.key_margin, scale, config)
+        there &= ~last | (jnp.max(jnp.abs(ahead[:, -1] - found), axis=-1) <= config.arrived)
+        kept = usable & jnp.all(ok, axis=-1) & there
+        q = jnp.where((kept & ~last)[:, None], ahead[:, -1], found)
+        usable = jnp.where(last, fine, kept | fine)
+        return (q, usable), (q, usable, kept, ahead, ok)
+
+    first = jnp.broadcast_to(ends[0], goal.shape[1:]), only
+    _, rows = jax.lax.scan(advance, first, (scenes, beyond, poses, found, fine, last))
+    q, usable, kept, ahead, ok = rows
+
+
+    def retreat(scene, path, q):
+        inside = cell.replace(scene=scene)
+        return jax.vmap(lambda one: follow(inside, path[::-1], one, scale, config))(q)
+
+    back, back_ok = jax.vmap(retreat)(scenes, poses, q)
+    join = lambda a, b: jnp.concatenate([a[None], b])  # noqa: E731
+    return Labels(
+        join(first[0], q), join(only, usable), reached, kept, ahead, ok,
+        back[:, :, ::-1], back_ok[:, :, ::-1],
+    )  # fmt: skip
+
+
+@functools.partial(jax.jit, static_argnames="config")
+def label_tasks(
+    cell: Workcell, scenes: Scene, poses: Array, ends: Array, scale: Array, keys, config
+) -> Labels:
+    """`label` for several tasks: all but cell and scale have a leading axis."""
+    one = functools.partial(label, config=config)
+    return jax.vmap(one, (None, 0, 0, 0, None, 0))(cell, scenes, poses, ends, scale, keys)

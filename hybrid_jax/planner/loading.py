@@ -13,7 +13,7 @@ from hybrid_jax.agents import dqn, joint, networks, switching
 from hybrid_jax.errors import RunFolderError
 from hybrid_jax.feasibility.building import load_map
 from hybrid_jax.planner.lfd import SkillChooser, optimal_chooser
-from hybrid_jax.planner.pipeline import Planner, Switcher
+from hybrid_jax.planner.records import Planner, Switcher
 from hybrid_jax.runfolder import Run
 from hybrid_jax.skills.demonstration import load_demonstrations
 from hybrid_jax.skills.library import SkillLibrary, build_library

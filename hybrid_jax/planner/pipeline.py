@@ -1,72 +1,55 @@
 # SPDX-License-Identifier: MIT
-"""The hybrid planner: Algorithm 1 of the paper, online."""
+"""The hybrid planner: Algorithm 1 of the paper, online, for one task or many at once.
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+All tasks of a batch go through the stages together: labels and bridges are one program each.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import jax
-import numpy as np
 from jax import Array
 
-from hybrid_jax.agents.joint import Bridger
-from hybrid_jax.agents.switching import Combined
-from hybrid_jax.planner import checking, combining, timing
-from hybrid_jax.planner.harvest import PhaseOptions, bridge_ends, phase_options
-from hybrid_jax.planner.labelling import Bridge, LabelConfig
-from hybrid_jax.planner.lfd import SkillChooser, SkillPath, placed_pose, skill_path
-from hybrid_jax.skills.library import SkillConfig, SkillLibrary
-from hybrid_jax.skills.task import Task, object_in_tool, require_handling
-from hybrid_jax.types import Status, Trajectory, Workcell
-
-Switcher = Callable[[Combined], np.ndarray]
-"""Both motions of a phase to the choice at each grid point: 0 skill, 1 joint agent."""
-
-
-@dataclass(frozen=True)
-class PlannerConfig:
-    """Settings of the planner."""
-
-    skills: SkillConfig = SkillConfig()
-    labels: LabelConfig = LabelConfig()
-    finishing: timing.TimingConfig = timing.TimingConfig()
-    attempts: int = 8
-    """Ways through a phase that are tried, best first."""
+from hybrid_jax.planner.bridging import Way, bridge_gaps, rrt_bridger
+from hybrid_jax.planner.checking import Engine
+from hybrid_jax.planner.finishing import Fault, finish_phase
+from hybrid_jax.planner.harvest import gap_segment
+from hybrid_jax.planner.lfd import SkillPath, skill_path
+from hybrid_jax.planner.records import Planner, PlanResult
+from hybrid_jax.planner.refusing import admit, why_infeasible
+from hybrid_jax.planner.routing import Leg, Routes, label_paths
+from hybrid_jax.planner.scenes import task_scenes
+from hybrid_jax.skills.task import Task
+from hybrid_jax.types import Scene, Status, Trajectory
 
 
-@dataclass(frozen=True)
-class Planner:
-    """A cell with everything that was learned for it. The agents are functions."""
+@dataclass
+class Job:
+    """One task on its way through the stages."""
 
-    cell: Workcell
-    library: SkillLibrary
-    choose: SkillChooser
-    """Task planner of RL-LfD."""
-    bridge: Bridger | None
-    """DRL-Feasibility agent; None plans with skills alone."""
-    switch: Switcher
-    """Switching agent."""
-    scale: float
-    """Manipulability that counts as 1 (from the feasibility map)."""
-    config: PlannerConfig = PlannerConfig()
+    task: Task
+    note: str
+    """What was changed before planning, as a sentence; mostly empty."""
+    path: SkillPath
+    names: list[str]
+    scenes: Scene
+    routes: Routes
+    legs: list[Leg] = field(default_factory=list)
+    """Of the route that is being tried."""
+    ways: dict[tuple, Way] = field(default_factory=dict)
+    phases: dict[int, tuple[tuple, Trajectory]] = field(default_factory=dict)
+    """Finished phases, with the names of their legs."""
+    status: Status = Status.TASK_INFEASIBLE
+    detail: str = ""
+    done: bool = False
 
-
-@dataclass(frozen=True)
-class PlanResult:
-    """A plan, or the reason why there is none."""
-
-    status: Status
-    detail: str
-    """A sentence for people: what failed and where."""
-    phases: list[Trajectory] = field(default_factory=list)
-    """One timed trajectory for each phase between gripper events; empty unless status is OK."""
-    skills: list[str] = field(default_factory=list)
-    """Skill of each segment."""
-
-    @property
-    def drl_share(self) -> float:
-        """Share of the trajectory's points that came from the joint agent."""
-        sources = np.concatenate([t.sources for t in self.phases]) if self.phases else np.zeros(1)
-        return float(sources.mean())
+    def result(self) -> PlanResult:
+        """The answer."""
+        if self.status is Status.OK:
+            phases = [self.phases[i][1] for i in sorted(self.phases)]
+            detail = " ".join(filter(None, [self.status.sentence, self.note]))
+            return PlanResult(self.status, detail, phases, self.names)
+        return PlanResult(self.status, self.detail, skills=self.names)
 
 
 def plan_motion(planner: Planner, task: Task, *, key: Array) -> PlanResult:
@@ -77,125 +60,115 @@ def plan_motion(planner: Planner, task: Task, *, key: Array) -> PlanResult:
         task: key poses in a scene.
         key: draws IK seeds and rollouts; consumed.
     """
-    # Alg. 1, l. 27: call Algorithm 2 to calculate the task-space trajectory traj_LfD
-    path = skill_path(planner.library, task, planner.choose, planner.config.skills)
-    if not path.plan:
-        missing = "; ".join(str(m) for m in path.missing)
-        return PlanResult(Status.NEED_DEMO, f"record a demonstration for {missing}")
-    names = [planner.library.names[k] for _, _, k in path.plan]
-    phases, start = [], np.asarray(planner.cell.home)
-    for phase in range(len(path.phases)):
-        status, detail, trajectory = _plan_phase(
-            planner, task, path, phase, start, jax.random.fold_in(key, phase)
-        )
-        if status is not Status.OK:
-            return PlanResult(status, f"phase {phase}: {detail}", skills=names)
-        phases.append(trajectory)
-        start = trajectory.positions[-1].astype(np.float32)
-    return PlanResult(Status.OK, Status.OK.sentence, phases, names)
+    return plan_batch(planner, [task], key=key)[0]
 
 
-def _plan_phase(
-    planner: Planner, task: Task, path: SkillPath, phase: int, start: np.ndarray, key: Array
-) -> tuple[Status, str, Trajectory | None]:
-    """One phase between gripper events: status, sentence, trajectory."""
-    key_ik, key_drl = jax.random.split(key)
+def plan_batch(planner: Planner, tasks: Sequence[Task], *, key: Array) -> list[PlanResult]:
+    """Plan several tasks at once.
+
+    Args:
+        planner: cell, skills and agents.
+        tasks: each in a scene of its own.
+        key: draws IK seeds and rollouts; consumed.
+    """
+    key_label, key_bridge = jax.random.split(key)
+    results, jobs = prepare(planner, tasks, key_label)
+    engine, config = Engine(planner.cell, planner.config.check), planner.config
+    fallback = rrt_bridger(planner.cell, config.fallback) if config.fallback else None
+    for attempt in range(config.attempts):
+        going = [job for job in jobs.values() if not job.done]
+        for job in going:
+            choose_route(planner, engine, job)
+        going = [job for job in going if not job.done]
+        if not going:
+            break
+        bridge_jobs(planner, fallback, going, jax.random.fold_in(key_bridge, attempt))
+        for job in going:
+            finish_job(planner, engine, job)
+    return [jobs[i].result() if i in jobs else results[i] for i in range(len(tasks))]
+
+
+def prepare(
+    planner: Planner, tasks: Sequence[Task], key: Array
+) -> tuple[dict[int, PlanResult], dict[int, Job]]:
+    """Answers for what cannot be planned, and jobs for the others, by the number of the task."""
+    results, rows = {}, {}
+    for number, task in enumerate(tasks):
+        task, note, refusal = admit(planner.cell, task)
+        if refusal:
+            results[number] = refusal
+            continue
+        # Alg. 1, l. 27: call Algorithm 2 to calculate the task-space trajectory traj_LfD
+        path = skill_path(planner.library, task, planner.choose, planner.config.skills)
+        if not path.plan:
+            missing = "; ".join(str(m) for m in path.missing)
+            detail = f"record a demonstration for {missing}"
+            results[number] = PlanResult(Status.NEED_DEMO, detail)
+            continue
+        names = [planner.library.names[k] for _, _, k in path.plan]
+        rows[number] = task, note, path, names, task_scenes(planner.cell, task)
     # Alg. 1, l. 31-33: inverse kinematics; which segments are feasible (FJ) and which are not
-    options = phase_options(
-        planner.cell,
-        task,
-        phase,
-        path.phases[phase],
-        start,
-        planner.scale,
-        planner.config.labels,
-        key_ik,
-    )
-    if not options.bridges:
-        return Status.TASK_INFEASIBLE, "no collision-free configuration at one of its ends", None
-    status, detail = Status.DRL_TIMEOUT, Status.DRL_TIMEOUT.sentence
-    for attempt, bridge in enumerate(options.bridges[: planner.config.attempts]):
-        # Alg. 1, l. 28-30: call Algorithm 3 on the infeasible segment: traj_DRL
-        drl = _joint_motion(planner, options, bridge, jax.random.fold_in(key_drl, attempt))
-        if drl is None and bridge.first != bridge.last:
+    jobs = {}
+    for size in {len(row[2].poses) for row in rows.values()}:
+        some = {i: row for i, row in rows.items() if len(row[2].poses) == size}
+        found = label_paths(
+            planner.cell, [r[0] for r in some.values()], [r[4] for r in some.values()],
+            [r[2].poses for r in some.values()], planner.scale,
+            jax.random.fold_in(key, size), planner.config.labels,
+        )  # fmt: skip
+        for (number, row), routes in zip(some.items(), found, strict=True):
+            jobs[number] = Job(*row, routes)
+    return results, jobs
+
+
+def choose_route(planner: Planner, engine: Engine, job: Job) -> None:
+    """The cheapest route that is left; the job is done if there is none."""
+    names = job.routes.cheapest()
+    if names is None:
+        job.done = True
+        if not job.detail:
+            job.detail = why_infeasible(planner.cell, engine, job.task, job.routes)
+        return
+    job.legs = [job.routes.leg(name) for name in names]
+
+
+def bridge_jobs(planner: Planner, fallback, jobs: list[Job], key: Array) -> None:
+    """Alg. 1, l. 28-30: call Algorithm 3 on the infeasible segments: traj_DRL."""
+    gaps = [(job, leg) for job in jobs for leg in job.legs
+            if leg.has_gap and leg.name not in job.ways]  # fmt: skip
+    if not gaps:
+        return
+    segments = [gap_segment(leg, job.scenes) for job, leg in gaps]
+    ways = bridge_gaps(planner.bridge, fallback, segments, key)
+    for (job, leg), way in zip(gaps, ways, strict=True):
+        if way is not None:
+            job.ways[leg.name] = way
             continue
-        # Alg. 1, l. 34-36: concatenate, and let the switching policy choose
-        combined = combining.combine(options.cell, bridge, drl, planner.scale)
-        q, sources = combining.assemble(combined, planner.switch(combined), bridge, drl)
-        trajectory = finish(planner, options, q, sources)
-        if trajectory is None:
-            status, detail = Status.SEAM_FAILED, Status.SEAM_FAILED.sentence
+        start, end = leg.name[0], leg.name[0] + 1
+        job.status = Status.DRL_TIMEOUT
+        job.detail = f"key pose {start} to {end}: {Status.DRL_TIMEOUT.sentence}"
+        job.routes.forbid(leg.name)
+
+
+def finish_job(planner: Planner, engine: Engine, job: Job) -> None:
+    """Alg. 1, l. 34-36: concatenate, let the switching policy choose; then time and check."""
+    if any(leg.has_gap and leg.name not in job.ways for leg in job.legs):
+        return
+    for number, (low, high) in enumerate(job.task.phases):
+        legs = job.legs[low:high]
+        names = tuple(leg.name for leg in legs)
+        if number in job.phases and job.phases[number][0] == names:
             continue
-        faults = find_faults(planner, task, phase, options, trajectory)
-        if not faults:
-            return Status.OK, "", trajectory
-        status, detail = Status.COLLISION, "; ".join(faults)
-    return status, detail, None
-
-
-def _joint_motion(
-    planner: Planner, options: PhaseOptions, bridge: Bridge, key: Array
-) -> np.ndarray | None:
-    """Way points of the joint agent over the infeasible part; None if there is none to make."""
-    if bridge.first == bridge.last or planner.bridge is None:
-        return None
-    first, last = bridge_ends(bridge)
-    drl = planner.bridge(options.cell.scene, bridge.q[first], bridge.q[last], key)
-    if drl is None:
-        return None
-    config = planner.config
-    return timing.shortcut(
-        options.cell,
-        timing.densify(drl, config.finishing.spacing),
-        config.labels.margin,
-        config.finishing,
-    )
-
-
-def finish(
-    planner: Planner, options: PhaseOptions, q: np.ndarray, sources: np.ndarray
-) -> Trajectory | None:
-    """Smooth and time a path."""
-    config = planner.config.finishing
-    even = timing.smooth(options.cell, q, config)
-    if even is None:
-        return None
-    nearest = np.abs(even[:, None] - q[None]).max(axis=2).argmin(axis=1)
-    return timing.time_parameterize(options.cell, even, sources[nearest], config)
-
-
-def find_faults(
-    planner: Planner, task: Task, phase: int, options: PhaseOptions, trajectory: Trajectory
-) -> list[str]:
-    """What the final check finds wrong."""
-    data = require_handling(planner.cell)
-    spec = data.object(task.object_name)
-    low, _ = task.phases[phase]
-    carrying = task.carrying[low]
-    poses = np.array(task.object_poses)
-    if not carrying and any(task.carrying[:low]):
-        poses[planner.cell.source.layout.object_names.index(task.object_name)] = placed_pose(
-            planner.cell, task
-        )
-    return checking.limit_faults(planner.cell, trajectory) + checking.collision_faults(
-        options.cell,
-        trajectory,
-        task,
-        carrying=carrying,
-        poses=poses,
-        opening=spec.grip if carrying else data.gripper.open,
-        held_in_tool=object_in_tool(spec),
-    )
+        found = finish_phase(planner, engine, job.task, job.scenes, number, legs, job.ways)
+        if isinstance(found, Fault):
+            job.status, job.detail = found.status, f"phase {number}: {found.detail}"
+            for name in [leg.name for leg in legs if leg.has_gap] or names:
+                job.routes.forbid(name)
+            return
+        job.phases[number] = names, found
+    job.status, job.done = Status.OK, True
 
 
 def lfd_only(planner: Planner) -> Planner:
-    """The same planner without its joint agent: what the skills can do alone."""
-    return Planner(
-        planner.cell,
-        planner.library,
-        planner.choose,
-        None,
-        planner.switch,
-        planner.scale,
-        planner.config,
-    )
+    """The same planner without bridges: what the skills can do alone."""
+    return replace(planner, bridge=None, config=replace(planner.config, fallback=None))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 
-from hybrid_jax.planner.pipeline import PlanResult
+from hybrid_jax.planner.records import PlanResult
 from hybrid_jax.skills.task import Task, require_handling
 from hybrid_jax.types import Trajectory, Workcell
 from hybrid_jax.workcell.layout import home_qpos, moved_bodies

@@ -14,12 +14,12 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, PRNGKeyArray
 
+from hybrid_jax.agents.segments import Segments
 from hybrid_jax.agents.worlds import Move
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.collision import clearance_up_to
 from hybrid_jax.kernels.kinematics import joint_frames, manipulability, tool_pose
 from hybrid_jax.kernels.rays import RAY_COUNT, sense
-from hybrid_jax.planner.harvest import Segments
 from hybrid_jax.types import Workcell, pytree
 
 SINGULAR_HOME = 1e-4

@@ -21,11 +21,11 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, PRNGKeyArray
 
+from hybrid_jax.agents.segments import Segments
 from hybrid_jax.agents.worlds import Move
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.collision import clearance_up_to, points_between
 from hybrid_jax.kernels.kinematics import tool_pose
-from hybrid_jax.planner.harvest import Segments
 from hybrid_jax.simulation.servos import Body, Servos
 from hybrid_jax.types import Workcell, pytree
 from hybrid_jax.workcell.mjxcollision import backend

@@ -48,6 +48,21 @@ def pad_task(task: Task) -> tuple[np.ndarray, np.ndarray, int]:
     return poses.astype(np.float32), carrying, count
 
 
+def pad_costs(costs: SegmentCosts) -> SegmentCosts:
+    """Costs of a task with fewer key poses, padded to `MAX_KEY_POSES`, on the host."""
+
+    def pad(values: np.ndarray, fill: float) -> np.ndarray:
+        missing = MAX_KEY_POSES - values.shape[0]
+        wide = [(0, missing)] * 2 + [(0, 0)] * (values.ndim - 2)
+        return np.pad(values, wide, constant_values=fill)
+
+    inf, still = np.inf, 0.0
+    return SegmentCosts(
+        costs.count, pad(costs.cost, inf), pad(costs.nearest, inf),
+        pad(costs.first, still), pad(costs.near, still),
+    )  # fmt: skip
+
+
 def _monotone_costs(terms: Float[Array, "l b skill i"], limit: float) -> Float[Array, "a b skill"]:
     """Cheapest monotone matching of task features l = a..b-1 to demo features, the first fixed."""
     terms = jnp.where(terms <= limit, terms, jnp.inf)
@@ -75,10 +90,12 @@ def _task_features(key_poses: Array) -> Float[Array, "l b 8"]:
 
 
 def _terms(wanted: Array, demo: Array, config: SkillConfig) -> Float[Array, "l b skill i"]:
-    """Distance of every task feature to every demonstrated feature [m]."""
+    """Distance of every task feature to every demonstrated feature [m]; inf where l >= b."""
     compare = jax.vmap(BETAS[config.distance], (None, 0))  # i
     compare = jax.vmap(compare, (None, 0))  # skill
-    return jax.vmap(jax.vmap(compare, (0, None)), (0, None))(wanted, demo)
+    ahead = np.triu_indices(wanted.shape[0], 1)
+    found = jax.vmap(compare, (0, None))(wanted[ahead], demo)
+    return jnp.full((*wanted.shape[:2], *demo.shape[:2]), jnp.inf).at[ahead].set(found)
 
 
 def _usable(library: SkillLibrary, carrying: Array, count: Array) -> Bool[Array, "a b skill"]:

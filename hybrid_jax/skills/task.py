@@ -34,6 +34,8 @@ class Task:
     """`[K - 1]` True for segments on which the object is held."""
     support: tuple[str, ...]
     """Fixtures that the held object may touch: it is lifted from or put on them."""
+    start: np.ndarray
+    """`[joint]` configuration in which the arm stands [rad]."""
 
     @property
     def phases(self) -> list[tuple[int, int]]:
@@ -105,8 +107,17 @@ def home_pose(cell: Workcell) -> np.ndarray:
     return np.asarray(tool_pose(cell, cell.home))
 
 
-def handling_task(cell: Workcell, object_name: str, object_poses: np.ndarray) -> Task:
-    """The task of sorting one object: home, grasp, lifted, above its slot, placed, home."""
+def handling_task(
+    cell: Workcell, object_name: str, object_poses: np.ndarray, start: np.ndarray | None = None
+) -> Task:
+    """The task of sorting one object: start, grasp, lifted, above its slot, placed, home.
+
+    Args:
+        cell: with task data.
+        object_name: what to carry to its tray.
+        object_poses: `[object, 7]` where all objects lie.
+        start: `[joint]` where the arm stands [rad]; at home if None.
+    """
     data = require_handling(cell)
     spec = data.object(object_name)
     index = cell.source.layout.object_names.index(object_name)
@@ -116,12 +127,15 @@ def handling_task(cell: Workcell, object_name: str, object_poses: np.ndarray) ->
     ).astype(np.float32)
     poses = np.asarray(dq.from_parts(jnp.asarray(rows[:, :3]), jnp.asarray(rows[:, 3:])))
     home = home_pose(cell)
+    start = np.asarray(cell.home if start is None else start, np.float32)
+    begin = home if start.shape != cell.home.shape else np.asarray(tool_pose(cell, start))
     return Task(
         object_name,
         np.asarray(object_poses, np.float32),
-        np.stack([home, *poses, home]),
+        np.stack([begin, *poses, home]),
         (False, True, True, True, False),
         (data.table, spec.tray),
+        start,
     )
 
 

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: MIT
+"""OMPL's RRT-Connect with a validity check of our choice (optional extra `bench`)."""
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+from ompl import base, geometric, util
+
+RESOLUTION = 1 / 32
+"""Distance of checked configurations along a motion [rad]."""
+
+util.setLogLevel(util.LOG_ERROR)
+
+
+class OmplPlanner:
+    """RRT-Connect between configurations of one robot, its range as OMPL chooses it."""
+
+    def __init__(self, low: np.ndarray, high: np.ndarray):
+        """Args:
+        low, high: joint limits [rad].
+        """
+        self.size = len(low)
+        self.space = base.RealVectorStateSpace(self.size)
+        bounds = base.RealVectorBounds(self.size)
+        for joint in range(self.size):
+            bounds.setLow(joint, float(low[joint]))
+            bounds.setHigh(joint, float(high[joint]))
+        self.space.setBounds(bounds)
+
+    def _state(self, q: np.ndarray):
+        state = self.space.allocState()
+        for joint in range(self.size):
+            state[joint] = float(q[joint])
+        return state
+
+    def solve(
+        self,
+        valid: Callable[[np.ndarray], bool],
+        start: np.ndarray,
+        goal: np.ndarray,
+        seconds: float,
+        simplify: bool = False,
+    ) -> tuple[np.ndarray | None, float]:
+        """Way points `[point, joint]` or None, and the time that it took [s].
+
+        Args:
+            valid: is a configuration free?
+            start, goal: configurations.
+            seconds: to give up after.
+            simplify: shorten the path as OMPL does by default; its time counts.
+        """
+        setup, buffer = geometric.SimpleSetup(self.space), np.empty(self.size)
+
+        def check(state) -> bool:
+            for joint in range(self.size):
+                buffer[joint] = state[joint]
+            return bool(valid(buffer))
+
+        setup.setStateValidityChecker(check)
+        info = setup.getSpaceInformation()
+        info.setStateValidityCheckingResolution(RESOLUTION / self.space.getMaximumExtent())
+        setup.setStartAndGoalStates(self._state(start), self._state(goal))
+        setup.setPlanner(geometric.RRTConnect(info))
+        began = time.perf_counter()
+        setup.solve(seconds)
+        if not setup.haveExactSolutionPath():
+            return None, time.perf_counter() - began
+        if simplify:
+            setup.simplifySolution()
+        elapsed, path = time.perf_counter() - began, setup.getSolutionPath()
+        states = [path.getState(i) for i in range(path.getStateCount())]
+        return np.array([[s[j] for j in range(self.size)] for s in states]), elapsed

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: MIT
+"""What the planning benchmark compares, on one cell with one trained joint agent."""
+
+import functools
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hybrid_jax.agents import joint, switching, training
+from hybrid_jax.agents.segments import Segments
+from hybrid_jax.feasibility.building import build_feasibility_map
+from hybrid_jax.planner.directly import joint_agent_only
+from hybrid_jax.planner.harvest import harvest
+from hybrid_jax.planner.lfd import optimal_chooser
+from hybrid_jax.planner.loading import optimal_switcher, read_library
+from hybrid_jax.planner.pipeline import lfd_only, plan_motion
+from hybrid_jax.planner.records import Planner, PlanResult
+from hybrid_jax.planner.switchdata import combined_phases
+from hybrid_jax.presets import DEFAULT, SMOKE
+from hybrid_jax.progress import Progress
+from hybrid_jax.skills.task import Task, random_task
+from hybrid_jax.types import Workcell
+
+TRAINING, TRAINING_TASKS = 10_000, 100
+"""Seeds of the first training task, and how many there are."""
+SWITCH_TASKS = 24
+"""Training tasks whose combined trajectories the switching agent sees, ..."""
+SWITCH_TEST = 30_000, 48
+"""... and the seed of the first task, and number of tasks, that it is tested on."""
+
+Method = Callable[[Task, jax.Array], PlanResult]
+
+
+@dataclass(frozen=True)
+class Learned:
+    """A planner with its agents, and how the switching agent compares with the optimum."""
+
+    planner: Planner
+    ppo_switch: Callable
+    optimality: np.ndarray
+    """`[problem]` return of the switching agent over that of the optimum, on unseen tasks."""
+    seconds: float
+    """Of all trainings."""
+
+
+def train_joint_agent(cell: Workcell, segments: Segments) -> joint.Bridger:
+    """Preset `default`'s joint agent."""
+    config = DEFAULT.joint
+    net = joint.make_net(cell, config)
+    state = training.train(joint.make_world(cell, segments, config), net, config.training)
+    return joint.make_bridger(cell, net, state.policy(), config)
+
+
+def train_switch(planner: Planner, key: jax.Array) -> tuple[Callable, np.ndarray]:
+    """The switching agent as a `Switcher`, and its returns over the optimum's on unseen tasks."""
+    config: switching.SwitchConfig = DEFAULT.switch
+    problems = [
+        jax.tree.map(lambda *a: jnp.stack(a), *combined_phases(
+            planner, [random_task(planner.cell, first + i) for i in range(count)], key))
+        for first, count in ((TRAINING, SWITCH_TASKS), SWITCH_TEST)
+    ]  # fmt: skip
+    net = switching.make_net(planner.cell.home.size, config)
+    world = switching.SwitchWorld(problems[0], config)
+    policy = training.train(world, net, config.training).policy()
+    choose = jax.jit(functools.partial(switching.choose, net, config=config))
+    reached = np.asarray(choose(policy, problems[1])[1])
+    each = [jax.tree.map(lambda a, i=i: a[i], problems[1]) for i in range(len(reached))]
+    best = np.array([switching.optimal_switching(one, config)[1] for one in each])
+
+    def switch(combined):
+        one = jax.tree.map(lambda a: a[None], combined)
+        return np.asarray(choose(policy, one)[0][0])
+
+    return switch, reached / best
+
+
+def learn(cell: Workcell) -> Learned:
+    """Train both agents on tasks that no test uses."""
+    began, library, preset = time.perf_counter(), read_library(), DEFAULT.planner
+    # the scale is drawn from random configurations: any grid will do
+    scale = float(build_feasibility_map(cell, SMOKE.map).manipulability_scale)
+    segments = harvest(
+        cell, library, optimal_chooser, preset.skills, preset.labels, scale, seed=0,
+        tasks=range(TRAINING, TRAINING + TRAINING_TASKS), progress=Progress("collect", "tasks"),
+    )  # fmt: skip
+    bridge = train_joint_agent(cell, segments)
+    switch = optimal_switcher(DEFAULT.switch)
+    planner = Planner(cell, library, optimal_chooser, bridge, switch, scale, preset)
+    ppo_switch, optimality = train_switch(planner, jax.random.key(0))
+    return Learned(planner, ppo_switch, optimality, time.perf_counter() - began)
+
+
+def rule(combined: switching.Combined) -> np.ndarray:
+    """The joint agent wherever it has a motion (a `Switcher`)."""
+    return np.asarray(combined.available).astype(int)
+
+
+def methods(learned: Learned) -> dict[str, Method]:
+    """Every method by its name; `hybrid` is the planner as it is used."""
+    planner = learned.planner
+    alone = replace(planner, config=replace(planner.config, fallback=None))
+
+    def with_(some: Planner, plan=plan_motion) -> Method:
+        return lambda task, key: plan(some, task, key=key)
+
+    return {
+        "hybrid": with_(planner),
+        "hybrid_ppo": with_(replace(planner, switch=learned.ppo_switch)),
+        "hybrid_rule": with_(replace(planner, switch=rule)),
+        "no_fallback": with_(alone),
+        "lfd": with_(lfd_only(planner)),
+        "drl": with_(alone, joint_agent_only),
+    }
+
+

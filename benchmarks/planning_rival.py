@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: MIT
+"""OMPL's RRT-Connect on a handling task: between the same key poses, C MuJoCo as its checker."""
+
+import time
+from dataclasses import replace
+
+import jax
+import numpy as np
+
+from benchmarks.ompl_rival import OmplPlanner
+from hybrid_jax.planner.checking import CheckConfig, Engine
+from hybrid_jax.planner.finishing import time_path
+from hybrid_jax.planner.labelling import find_candidates
+from hybrid_jax.planner.records import Planner, PlanResult
+from hybrid_jax.planner.scenes import inside, phase_scene, segment_kinds, task_scenes
+from hybrid_jax.skills.task import Task
+from hybrid_jax.types import Source, Status
+
+SECONDS = 10.0
+"""Time that a task may take."""
+TRIES = 3
+"""Configurations of a key pose that are tried, the nearest first."""
+
+
+class OmplTasks:
+    """Plans tasks as `plan_motion` does; the time of finding configurations counts as well."""
+
+    def __init__(self, planner: Planner):
+        low, high = np.asarray(planner.cell.joint_limits, float).T
+        home = np.asarray(planner.cell.home)
+        # joints that turn without end would only make its space larger
+        self.ompl = OmplPlanner(np.maximum(low, home - np.pi), np.minimum(high, home + np.pi))
+        self.planner = planner
+        self.engine = Engine(planner.cell, CheckConfig(clearance=0.0))
+        # its paths may touch: they are smoothed where that costs no contact, else left as they are
+        smoothing = planner.config.smoothing
+        self.smooth, self.bare = (
+            replace(planner, config=replace(planner.config, smoothing=some))
+            for some in (replace(smoothing, margin=0.0), replace(smoothing, margin=-1, widths=(0,)))
+        )
+        self.labels = replace(
+            planner.config.labels, key_margin=0.0, least_manipulability=0.0, candidates=8
+        )
+
+    def _goals(self, task: Task, scenes, k: int, start: np.ndarray, key) -> np.ndarray:
+        """Configurations of a key pose, the nearest first."""
+        if k == len(task.carrying):
+            return np.asarray(self.planner.cell.home)[None]
+        before, after = (jax.tree.map(lambda a, i=i: a[i], scenes) for i in (k - 1, k))
+        found, usable, _ = jax.device_get(find_candidates(
+            self.planner.cell, before, after, task.key_poses[k], 1.0, key, self.labels
+        ))  # fmt: skip
+        goals = found[usable]
+        return goals[np.argsort(np.abs(goals - start).max(axis=1))][:TRIES]
+
+    def way_points(self, task: Task, key) -> list[np.ndarray] | None:
+        """Path over each unit segment, or None if a segment is not solved in time."""
+        scenes, kinds = task_scenes(self.planner.cell, task), segment_kinds(task)
+        ends, start, paths = time.perf_counter() + SECONDS, np.asarray(task.start), []
+        for k in range(1, len(task.key_poses)):
+            self.engine.enter(phase_scene(self.planner.cell, task, int(kinds[k - 1])))
+            valid = lambda q: self.engine.collision(q) is None  # noqa: E731
+            path = None
+            for goal in self._goals(task, scenes, k, start, jax.random.fold_in(key, k)):
+                left = ends - time.perf_counter()
+                if left > 0 and path is None:
+                    path = self.ompl.solve(valid, start, goal, left / 2, simplify=True)[0]
+            if path is None:
+                return None
+            paths.append(path)
+            start = path[-1].astype(np.float32)
+        return paths
+
+    def plan(self, task: Task, key) -> PlanResult:
+        """Plan, then smooth and time as far as it goes; solved is what OMPL finds a path for."""
+        paths = self.way_points(task, key)
+        if paths is None:
+            return PlanResult(Status.DRL_TIMEOUT, "OMPL found no path in time")
+        scenes, phases = task_scenes(self.planner.cell, task), []
+        for low, high in task.phases:
+            cell = inside(self.planner.cell, scenes, low)
+            q = np.concatenate([paths[low], *(p[1:] for p in paths[low + 1 : high])])
+            marks = np.full(len(q), Source.RRT, np.uint8)
+            trajectory = time_path(self.smooth, cell, q, marks)
+            phases.append(trajectory or time_path(self.bare, cell, q, marks))
+        return PlanResult(Status.OK, "", phases)

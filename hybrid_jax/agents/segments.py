@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: MIT
+"""Problems of the joint agent: from one configuration to another, each in a scene of its own."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from hybrid_jax.errors import SegmentError
+from hybrid_jax.kernels.collision import clearance
+from hybrid_jax.types import Scene, Workcell, pytree
+
+
+@pytree
+class Segments:
+    """Problems of the joint agent; the leading axis runs over segments."""
+
+    scene: Scene
+    start: Array
+    """`[segment, joint]`."""
+    goal: Array
+    """`[segment, joint]`."""
+
+
+def single_segment(scene: Scene, start, goal) -> Segments:
+    """One problem, with the leading axis of many."""
+    rows = jax.tree.map(lambda a: jnp.asarray(a)[None], (scene, start, goal))
+    return Segments(*rows)
+
+
+def take(segments: Segments, index) -> Segments:
+    """Some of the segments."""
+    return jax.tree.map(lambda a: a[index], segments)
+
+
+@jax.jit
+def _end_gaps(cell: Workcell, segments: Segments) -> dict[str, Array]:
+    """Clearance `[segment]` at both ends [m]."""
+    inside = jax.vmap(lambda scene, q: clearance(cell.replace(scene=scene), q))
+    return {end: inside(segments.scene, getattr(segments, end)) for end in ("start", "goal")}
+
+
+def refuse_infeasible(cell: Workcell, segments: Segments, margin: float) -> None:
+    """Raise if an end of a segment violates the joint limits or has less clearance than `margin`.
+
+    Raises:
+        SegmentError: names the segment, its end, and the joint or the clearance.
+    """
+    low, high = np.asarray(cell.joint_limits).T
+    for end, gaps in jax.device_get(_end_gaps(cell, segments)).items():
+        q = np.asarray(getattr(segments, end))
+        # a finite difference within float32's rounding is no violation
+        outside = ~((q >= low - 1e-5) & (q <= high + 1e-5))
+        for i, joint in np.argwhere(outside)[:1]:
+            raise SegmentError(
+                f"segment {i}: joint {cell.joint_names[joint]!r} of its {end} is {q[i, joint]:.4g},"
+                f" outside its limits {low[joint]:.4g} to {high[joint]:.4g}"
+            )
+        for i in np.flatnonzero(~(gaps >= margin))[:1]:
+            raise SegmentError(
+                f"segment {i}: the clearance of its {end} is {1000 * gaps[i]:.1f} mm, "
+                f"less than the {1000 * margin:.1f} mm to be kept"
+            )

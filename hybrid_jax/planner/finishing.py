@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: MIT
+"""From the chosen legs of a task to checked trajectories, one for each phase."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hybrid_jax.planner import checking, combining, smoothing, timing
+from hybrid_jax.planner.bridging import Way
+from hybrid_jax.planner.combining import PhasePath, Window
+from hybrid_jax.planner.records import Planner
+from hybrid_jax.planner.routing import Leg
+from hybrid_jax.planner.scenes import inside, phase_scene, segment_kinds
+from hybrid_jax.skills.task import Task
+from hybrid_jax.types import Scene, Status, Trajectory, Workcell
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Why a phase could not be finished."""
+
+    status: Status
+    detail: str
+    phase: int
+
+
+def phase_path(
+    cell: Workcell, legs: list[Leg], ways: dict[tuple, Way], planner: Planner
+) -> PhasePath:
+    """The legs of a phase as one path; the joint agent's detours are cut short."""
+    q, feasible, windows, at = [], [], [], 0
+    for number, leg in enumerate(legs):
+        skip = int(number > 0)  # a key pose between two legs stands once
+        if leg.has_gap and leg.name in ways:
+            way = ways[leg.name]
+            short = smoothing.shortcut(
+                cell, way.path, planner.config.labels.margin, planner.config.smoothing
+            )
+            windows.append(Window(at + leg.first - skip, at + leg.last - skip, short, way.source))
+        q.append(leg.q[skip:])
+        feasible.append(leg.feasible[skip:])
+        at += len(leg.q) - skip
+    return PhasePath(np.concatenate(q), np.concatenate(feasible), windows)
+
+
+def _candidates(planner: Planner, cell: Workcell, phase: PhasePath):
+    """Joint paths of a phase with their sources: the switch's choice, then the designed seams."""
+    combined = combining.combine(cell, phase, planner.scale)
+    choice = planner.switch(combined)
+    yield combining.assemble(choice, phase)
+    if not (np.asarray(choice) == np.asarray(combined.available)).all():
+        yield combining.follow_windows(phase)
+
+
+def time_path(
+    planner: Planner, cell: Workcell, q: np.ndarray, sources: np.ndarray
+) -> Trajectory | None:
+    """Smooth and time a joint path; None if it keeps no margin or no limits."""
+    config = planner.config
+    smoothed = smoothing.smooth(cell, q, sources, config.smoothing)
+    if smoothed is None:
+        return None
+    return timing.time_parameterize(cell, *smoothed, config.timing)
+
+
+def find_faults(
+    planner: Planner,
+    engine: checking.Engine,
+    cell: Workcell,
+    task: Task,
+    number: int,
+    trajectory: Trajectory,
+) -> list[str]:
+    """What the final check finds wrong with a phase.
+
+    The kernels are asked as well: the engine does not see a capsule whose axis runs right through
+    a thin box.
+    """
+    low, high = task.phases[number]
+    scene = phase_scene(planner.cell, task, int(segment_kinds(task)[low]))
+    faults = checking.limit_faults(planner.cell, trajectory, planner.config.check)
+    points = checking.checked_points(trajectory.positions, planner.config.check.max_step)
+    gap = smoothing.path_clearance(cell, points).min()
+    if gap < 0:
+        faults.append(f"clearance falls to {1e3 * gap:.1f} mm")
+    touched = checking.collision_fault(engine, scene, trajectory.positions)
+    pose = checking.pose_row(task.key_poses[high])
+    missed = checking.pose_fault(
+        engine, scene, trajectory.positions[-1], pose, f"key pose {high}"
+    )
+    return faults + [sentence for sentence in (touched, missed) if sentence]
+
+
+def finish_phase(
+    planner: Planner,
+    engine: checking.Engine,
+    task: Task,
+    scenes: Scene,
+    number: int,
+    legs: list[Leg],
+    ways: dict[tuple, Way],
+) -> Trajectory | Fault:
+    """Switch, smooth, time and check one phase.
+
+    Args:
+        planner: configuration and switch.
+        engine: that judges at last.
+        task: for key poses and gripper.
+        scenes: of each unit segment.
+        number: of the phase.
+        legs: of the phase.
+        ways: over the gaps of the legs, by their names.
+    """
+    cell = inside(planner.cell, scenes, task.phases[number][0])
+    path = phase_path(cell, legs, ways, planner)
+    fault = Fault(Status.SEAM_FAILED, Status.SEAM_FAILED.sentence, number)
+    for q, sources in _candidates(planner, cell, path):
+        trajectory = time_path(planner, cell, q, sources)
+        if trajectory is None:
+            continue
+        faults = find_faults(planner, engine, cell, task, number, trajectory)
+        if not faults:
+            return trajectory
+        fault = Fault(Status.COLLISION, "; ".join(faults), number)
+    return fault
+
+

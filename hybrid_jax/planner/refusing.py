@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: MIT
+"""What cannot be planned, in words: tasks that are refused, key poses that cannot be reached."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from hybrid_jax.planner.checking import Engine
+from hybrid_jax.planner.records import PlanResult
+from hybrid_jax.planner.routing import Routes
+from hybrid_jax.planner.scenes import phase_scene, segment_kinds
+from hybrid_jax.skills.task import Task
+from hybrid_jax.types import Status, Workcell
+
+ROUNDING = 1e-3
+"""A start this far out of the limits is put back [rad]: encoders and messages round."""
+
+
+def _bad_numbers(cell: Workcell, task: Task) -> str | None:
+    """What is wrong with the arrays of a task, or with its object."""
+    names = cell.source.layout.object_names
+    if task.object_name not in names:
+        return f"unknown object {task.object_name!r}; there are: {', '.join(sorted(names))}"
+    wanted = (len(names), 7)
+    if np.shape(task.object_poses) != wanted:
+        return f"object_poses must have shape {wanted}, got {np.shape(task.object_poses)}"
+    for name in ("object_poses", "key_poses"):
+        rows = np.flatnonzero(~np.isfinite(getattr(task, name)).all(axis=1))
+        if rows.size:
+            return f"{name}: row {rows[0]} is not finite"
+    return None
+
+
+def admit(cell: Workcell, task: Task) -> tuple[Task, str, PlanResult | None]:
+    """The task as it can be planned, what was changed, and a refusal if it cannot be planned."""
+    low, high = np.asarray(cell.joint_limits).T
+    start = np.asarray(task.start)
+    if start.shape != low.shape or not np.isfinite(start).all():
+        detail = f"the start must be {low.size} finite joint values, got {start!r}"
+        return task, "", PlanResult(Status.START_INVALID, detail)
+    wrong = _bad_numbers(cell, task)
+    if wrong:
+        return task, "", PlanResult(Status.INVALID_TASK, wrong)
+    over = np.maximum(low - start, start - high)
+    worst = int(np.argmax(over))
+    if over[worst] <= 0:
+        return task, "", None
+    sentence = (
+        f"{cell.joint_names[worst]} starts at {start[worst]:.6f}, {over[worst]:.2g} rad outside "
+        f"its limits {low[worst]:.4f} to {high[worst]:.4f}"
+    )
+    if over[worst] > ROUNDING:
+        return task, "", PlanResult(Status.START_INVALID, sentence)
+    clipped = np.clip(start, low, high).astype(np.float32)
+    return replace(task, start=clipped), f"({sentence}: put back to the limit)", None
+
+
+def why_infeasible(cell: Workcell, engine: Engine, task: Task, routes: Routes) -> str:
+    """Why no route leads through a task: the first key pose, or the first segment, that fails."""
+    labels = routes.labels
+    for k in range(len(labels.usable)):
+        if not labels.usable[k].any():
+            return _why_unreachable(cell, engine, task, k, labels)
+    a = routes.blocked_segment()
+    return (
+        f"key pose {a} to {a + 1}: no configuration of one continues from the other without "
+        "leaving the skill beside a gripper event"
+    )
+
+
+def _why_unreachable(cell: Workcell, engine: Engine, task: Task, k: int, labels) -> str:
+    if 0 < k <= len(labels.reached) and not labels.reached[k - 1]:
+        return f"key pose {k} is out of reach"
+    kinds = segment_kinds(task)
+    for kind in {int(kinds[max(k - 1, 0)]), int(kinds[min(k, len(kinds) - 1)])}:
+        engine.enter(phase_scene(cell, task, kind))
+        found = [engine.collision(q) for q in labels.candidates[k]]
+        if all(found):
+            return f"key pose {k} collides in every configuration found: {found[0]}"
+    return f"key pose {k} is too close to an obstacle or to a singularity in every configuration"

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: MIT
+"""What the cell looks like in each phase of a task: what is held, what already lies in its tray."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+
+from hybrid_jax.planner.checking import PhaseScene
+from hybrid_jax.skills.task import Task, object_in_tool, place_pose, require_handling
+from hybrid_jax.types import Scene, Workcell
+from hybrid_jax.workcell import scene as scenes
+from hybrid_jax.workcell.geometry import as_row, pose_of
+
+REACHING, CARRYING, LEAVING = range(3)
+"""Kinds of phases: before the object is held, while it is held, once it lies in its tray."""
+
+
+def segment_kinds(task: Task) -> np.ndarray:
+    """Kind of each unit segment `[segment]`."""
+    held = np.array(task.carrying)
+    return np.where(held, CARRYING, np.where(np.cumsum(held) > 0, LEAVING, REACHING))
+
+
+def placed_pose(cell: Workcell, name: str) -> np.ndarray:
+    """`[7]` where an object lies once it has been let go."""
+    spec = require_handling(cell).object(name)
+    row = object_in_tool(spec)
+    return as_row(place_pose(cell, spec) * pose_of(row[:3], row[3:]))
+
+
+@functools.partial(jax.jit, static_argnames=("name", "support"))
+def kind_scenes(
+    cell: Workcell, poses: Float[Array, "object 7"], *, name: str, support: tuple[str, ...]
+) -> Scene:
+    """Scenes of the three kinds of phases, stacked in their order.
+
+    Args:
+        cell: any scene of the cell.
+        poses: where the objects lie at first.
+        name: object to be carried.
+        support: fixtures that it may touch while it is held.
+    """
+    data = require_handling(cell)
+    spec, index = data.object(name), scenes.object_index(cell, name)
+    before = scenes.with_opening(scenes.place_objects(cell, poses), data.gripper.open)
+    hangs = jnp.asarray(object_in_tool(spec), jnp.float32)
+    held = scenes.with_opening(scenes.attach(before, name, hangs), spec.grip)
+    put = poses.at[index].set(jnp.asarray(placed_pose(cell, name), poses.dtype))
+    after = scenes.with_opening(scenes.place_objects(cell, put), data.gripper.open)
+    return stack_scenes([c.scene for c in (before, scenes.with_support(held, support), after)])
+
+
+def task_scenes(cell: Workcell, task: Task) -> Scene:
+    """Scene of every unit segment of a task, stacked."""
+    poses = jnp.asarray(task.object_poses, jnp.float32)
+    found = kind_scenes(cell, poses, name=task.object_name, support=task.support)
+    found, kinds = jax.device_get(found), segment_kinds(task)
+    return jax.tree.map(lambda a: a[kinds], found)
+
+
+def phase_scene(cell: Workcell, task: Task, kind: int) -> PhaseScene:
+    """The same for the final check, which knows nothing of the kernels' scenes."""
+    data = require_handling(cell)
+    spec, poses = data.object(task.object_name), np.array(task.object_poses)
+    if kind == LEAVING:
+        index = cell.source.layout.object_names.index(task.object_name)
+        poses[index] = placed_pose(cell, task.object_name)
+    if kind != CARRYING:
+        return PhaseScene(poses, data.gripper.open, None, None, ())
+    return PhaseScene(poses, spec.grip, task.object_name, object_in_tool(spec), task.support)
+
+
+def inside(cell: Workcell, scenes: Scene, index: int) -> Workcell:
+    """The cell in one of several stacked scenes."""
+    return cell.replace(scene=jax.tree.map(lambda a: a[index], scenes))
+
+
+def stack_scenes(found: list[Scene]) -> Scene:
+    """Scenes with a leading axis."""
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *found)

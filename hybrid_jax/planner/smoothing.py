@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: MIT
+"""Make joint paths shorter and smoother, and leave alone what was demonstrated."""
+
+import functools
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+from scipy.ndimage import gaussian_filter1d
+
+from hybrid_jax.kernels.collision import clearance_up_to, edge_clearance
+from hybrid_jax.types import Scene, Workcell
+
+CHECKED = 256
+"""Configurations that `path_clearance` takes in one call: one trace for all paths."""
+FAR_ENOUGH = 0.05
+"""Clearances beyond this are not told apart [m]."""
+
+
+@dataclass(frozen=True)
+class SmoothingConfig:
+    """How smooth."""
+
+    spacing: float = 0.05
+    """Distance of way points before smoothing [rad]."""
+    widths: tuple[float, ...] = (8.0, 4.0, 2.0, 1.0, 0.0)
+    """Widths of the smoothing filter, tried in turn, in way points."""
+    kept: float = 0.7
+    """Width of the filter on what was demonstrated: its corners alone are rounded."""
+    blend: float = 3.0
+    """Way points over which the two widths blend."""
+    margin: float = 0.002
+    """Clearance that a smoothed path keeps [m], ..."""
+    beside: int = 12
+    """... but for so many half steps beside an end that has less."""
+    shortcuts: int = 32
+    """Pairs tried in each of `shortcut_rounds`."""
+    shortcut_rounds: int = 2
+    shortcut_samples: int = 24
+    """Clearance checks along a shortcut."""
+
+
+@jax.jit
+def _batch_clearance(cell: Workcell, scene: Scene, q: Float[Array, "point n"]):
+    inside = cell.replace(scene=scene)
+    return jax.vmap(lambda one: clearance_up_to(inside, one, FAR_ENOUGH))(q)
+
+
+def path_clearance(cell: Workcell, q: np.ndarray) -> np.ndarray:
+    """Clearance at each configuration `[point]`, at most `FAR_ENOUGH` [m]."""
+    out = []
+    for start in range(0, len(q), CHECKED):
+        part = q[start : start + CHECKED]
+        padded = np.concatenate([part, part[-1:].repeat(CHECKED - len(part), 0)])
+        found = _batch_clearance(cell, cell.scene, padded.astype(np.float32))
+        out.append(np.asarray(found)[: len(part)])
+    return np.concatenate(out)
+
+
+def refine(q: np.ndarray, spacing: float) -> np.ndarray:
+    """Places `[n]`, in points of a polyline, no two of them further apart than `spacing` [rad]."""
+    size = np.abs(np.diff(q, axis=0)).max(axis=1)
+    counts = np.maximum(1, np.ceil(size / spacing).astype(int))
+    inner = [i + np.arange(n) / n for i, n in enumerate(counts)]
+    return np.concatenate([*inner, [len(q) - 1.0]])
+
+
+def at_places(q: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Points of a polyline `[point, column]` at places `[n]`."""
+    index = np.arange(len(q))
+    return np.stack([np.interp(places, index, column) for column in q.T], axis=1)
+
+
+def densify(q: np.ndarray, spacing: float) -> np.ndarray:
+    """Points along a polyline, no two neighbours further apart than `spacing` [rad]."""
+    return at_places(q, refine(q, spacing))
+
+
+@functools.partial(jax.jit, static_argnames="samples")
+def _edges(cell, scene, starts, ends, samples):
+    inside = cell.replace(scene=scene)
+    return jax.vmap(lambda a, b: edge_clearance(inside, a, b, samples))(starts, ends)
+
+
+def shortcut(
+    cell: Workcell, q: np.ndarray, margin: float, config: SmoothingConfig, seed: int = 0
+) -> np.ndarray:
+    """Replace detours of a polyline by straight edges that keep the margin."""
+    rng = np.random.default_rng(seed)
+    q = densify(q, config.spacing)
+    for _ in range(config.shortcut_rounds):
+        if len(q) < 3:
+            break
+        pairs = np.sort(rng.integers(0, len(q), (config.shortcuts, 2)), axis=1)
+        starts, ends = (q[column].astype(np.float32) for column in pairs.T)
+        gap = np.asarray(_edges(cell, cell.scene, starts, ends, config.shortcut_samples))
+        length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))])
+        direct = np.linalg.norm(ends - starts, axis=1)
+        gain = length[pairs[:, 1]] - length[pairs[:, 0]] - direct
+        gain = np.where((gap >= margin) & (pairs[:, 1] > pairs[:, 0] + 1), gain, 0.0)
+        best = int(np.argmax(gain))
+        if gain[best] <= 1e-3:
+            continue
+        a, b = pairs[best]
+        q = densify(np.concatenate([q[: a + 1], q[b:]]), config.spacing)
+    return q
+
+
+def _filtered(q: np.ndarray, width: float) -> np.ndarray:
+    """A path with rounded corners; its ends stay where they are."""
+    if not width:
+        return q
+    # what is filtered is the deviation from the straight line between the ends
+    line = q[0] + np.linspace(0, 1, len(q))[:, None] * (q[-1] - q[0])
+    bent = np.concatenate([-(q - line)[::-1], q - line, -(q - line)[::-1]])
+    return line + gaussian_filter1d(bent, width, axis=0)[len(q) : 2 * len(q)]
+
+
+def _required(gap: np.ndarray, config: SmoothingConfig) -> np.ndarray:
+    """Clearance to keep at each point `[point]`: beside an end that has less, what it has [m]."""
+    margin, point = np.full(len(gap), config.margin), np.arange(len(gap))
+    for end, away in ((gap[0], point), (gap[-1], point[::-1])):
+        margin[away < config.beside] = min(config.margin, 0.9 * max(end, 0.0))
+    return margin
+
+
+def smooth(
+    cell: Workcell, q: np.ndarray, sources: np.ndarray, config: SmoothingConfig
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Round the corners of a path as far as the margin allows.
+
+    Args:
+        cell: in the scene of the path.
+        q: `[point, joint]`.
+        sources: `[point]` 0 for what was demonstrated: there, the filter is narrow.
+        config: widths and margin.
+
+    Returns:
+        The path `[n, joint]` in small steps and the source of each point; None if no width keeps
+        the margin. The ends stay exactly where they are.
+    """
+    moved = np.concatenate([[True], np.abs(np.diff(q, axis=0)).max(axis=1) > 1e-5])
+    moved[-1] = True
+    q, sources = q[moved], sources[moved]
+    places = refine(q, min(config.spacing, max(1e-4, np.abs(np.diff(q, axis=0)).max() / 4)))
+    dense, sources = at_places(q, places), sources[np.round(places).astype(int)]
+    free = gaussian_filter1d((sources > 0).astype(float), config.blend)
+    free = np.clip(2 * free, 0, 1)[:, None]
+    for width in config.widths:
+        kept = _filtered(dense, min(width, config.kept))
+        path = kept + free * (_filtered(dense, width) - kept)
+        path[0], path[-1] = dense[0], dense[-1]
+        gap = path_clearance(cell, densify(path, config.spacing / 2))
+        if (gap >= _required(gap, config)).all():
+            return path, sources
+    return None
