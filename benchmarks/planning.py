@@ -105,6 +105,9 @@ def compare(learned: Learned, tasks: list[Task]) -> tuple[list[dict], dict[str, 
         table[name] = [trial(plan, learned.planner, task, i) for i, task in enumerate(tasks)]
         found += rows_of(name, table[name])
         print(f"{name}: {sum(r['ok'] for r in table[name])} of {len(tasks)}", flush=True)
+        failures = Counter(r["detail"] for r in table[name] if not r["ok"])
+        for detail, count in failures.most_common(3):
+            print(f"    {count}: {detail}")
     return found, table
 
 

@@ -174,6 +174,15 @@ def test_a_start_outside_the_limits_is_clipped_if_rounding_did_it_else_refused(c
     assert plan_motion(planner, nan, key=jax.random.key(0)).status is Status.START_INVALID
 
 
+def test_a_start_that_collides_is_named_with_what_it_touches(cell, planner):
+    low = np.array(cell.home)
+    low[1] += 1.6
+    task = handling_task(cell, "block_2", sample_scene(cell, 4), low)
+    result = plan_motion(planner, task, key=jax.random.key(0))
+    assert result.status is Status.TASK_INFEASIBLE
+    assert result.detail.startswith("key pose 0, where the arm stands, collides: ")
+
+
 def test_another_start_is_where_the_plan_begins(cell, planner):
     start = np.array(cell.home) + np.float32(0.1)
     task = handling_task(cell, "block_2", sample_scene(cell, 4), start)

@@ -142,45 +142,58 @@ def label(
         key: draws the seeds of the search; consumed.
         config: thresholds.
     """
-    count, size = poses.shape[0], config.candidates
-    before, after = (jax.tree.map(lambda a, p=p: a[p], scenes) for p in (slice(-1), slice(1, None)))
-    keys = jax.random.split(key, count - 1)
-    found, fine, reached = jax.vmap(lambda b, a, pose, key: find_candidates(
-        cell, b, a, pose, scale, key, config))(before, after, poses[:-1, -1], keys)  # fmt: skip
-    only = jnp.arange(size) == 0
-    goal = jnp.broadcast_to(ends[1], (1, size, ends.shape[1]))
-    found, fine = jnp.concatenate([found, goal]), jnp.concatenate([fine, only[None]])
-    beyond = jax.tree.map(lambda a: jnp.concatenate([a[1:], a[-1:]]), scenes)
-    last = jnp.arange(count) == count - 1
-
-    def advance(carry, part):
-        q, usable = carry
-        scene, beyond, path, found, fine, last = part
-        inside = cell.replace(scene=scene)
-        ahead, ok = jax.vmap(lambda one: follow(inside, path, one, scale, config))(q)
-        onward = cell.replace(scene=beyond)
-        there = _judge(onward, ahead[:, -1], config.key_margin, scale, config)
-        there &= ~last | (jnp.max(jnp.abs(ahead[:, -1] - found), axis=-1) <= config.arrived)
-        kept = usable & jnp.all(ok, axis=-1) & there
-        q = jnp.where((kept & ~last)[:, None], ahead[:, -1], found)
-        usable = jnp.where(last, fine, kept | fine)
-        return (q, usable), (q, usable, kept, ahead, ok)
-
-    first = jnp.broadcast_to(ends[0], goal.shape[1:]), only
-    _, rows = jax.lax.scan(advance, first, (scenes, beyond, poses, found, fine, last))
-    q, usable, kept, ahead, ok = rows
-
+    keys = jax.random.split(key, poses.shape[0] - 1)
+    found, fine, reached = jax.vmap(lambda before, after, pose, key: find_candidates(
+        cell, before, after, pose, scale, key, config
+    ))(_take(scenes, slice(-1)), _take(scenes, slice(1, None)), poses[:-1, -1], keys)  # fmt: skip
+    start, goal = (jnp.broadcast_to(q, (config.candidates, q.size)) for q in ends)
+    only = jnp.arange(config.candidates) == 0
+    found, fine = jnp.concatenate([found, goal[None]]), jnp.concatenate([fine, only[None]])
+    steps = _forwards(cell, scenes, poses, (start, only), (found, fine), scale, config)
+    q, usable, kept, ahead, ahead_ok = steps
 
     def retreat(scene, path, q):
         inside = cell.replace(scene=scene)
         return jax.vmap(lambda one: follow(inside, path[::-1], one, scale, config))(q)
 
     back, back_ok = jax.vmap(retreat)(scenes, poses, q)
-    join = lambda a, b: jnp.concatenate([a[None], b])  # noqa: E731
+    q, usable = (jnp.concatenate([a[None], b]) for a, b in ((start, q), (only, usable)))
     return Labels(
-        join(first[0], q), join(only, usable), reached, kept, ahead, ok,
-        back[:, :, ::-1], back_ok[:, :, ::-1],
-    )  # fmt: skip
+        q, usable, reached, kept, ahead, ahead_ok, back[:, :, ::-1], back_ok[:, :, ::-1]
+    )
+
+
+def _take(scenes: Scene, part: slice) -> Scene:
+    return jax.tree.map(lambda a: a[part], scenes)
+
+
+def _forwards(cell: Workcell, scenes: Scene, poses, first, found, scale, config: LabelConfig):
+    """Follow the unit segments one after the other, from all candidates of their first pose.
+
+    A path that is feasible to its end carries its candidate on to the next key pose; elsewhere
+    one that the search found takes its place.
+
+    Returns:
+        Candidates and which are usable at the end of each segment; which were carried on; the
+        paths and which of their points are feasible.
+    """
+    last = jnp.arange(poses.shape[0]) == poses.shape[0] - 1
+    beyond = jax.tree.map(lambda a: jnp.concatenate([a[1:], a[-1:]]), scenes)
+
+    def advance(carry, part):
+        q, usable = carry
+        scene, beyond, path, found, fine, last = part
+        inside, onward = cell.replace(scene=scene), cell.replace(scene=beyond)
+        ahead, ok = jax.vmap(lambda one: follow(inside, path, one, scale, config))(q)
+        there = _judge(onward, ahead[:, -1], config.key_margin, scale, config)
+        # the end of the task is one configuration, not any that has its pose
+        there &= ~last | (jnp.max(jnp.abs(ahead[:, -1] - found), axis=-1) <= config.arrived)
+        kept = usable & jnp.all(ok, axis=-1) & there
+        q = jnp.where((kept & ~last)[:, None], ahead[:, -1], found)
+        usable = jnp.where(last, fine, kept | fine)
+        return (q, usable), (q, usable, kept, ahead, ok)
+
+    return jax.lax.scan(advance, first, (scenes, beyond, poses, *found, last))[1]
 
 
 @functools.partial(jax.jit, static_argnames="config")

@@ -62,6 +62,10 @@ def why_infeasible(cell: Workcell, engine: Engine, task: Task, routes: Routes) -
         if not labels.usable[k].any():
             return _why_unreachable(cell, engine, task, k, labels)
     a = routes.blocked_segment()
+    engine.enter(phase_scene(cell, task, int(segment_kinds(task)[0])))
+    touched = engine.collision(np.asarray(task.start))
+    if a == 0 and touched:
+        return f"key pose 0, where the arm stands, collides: {touched}"
     return (
         f"key pose {a} to {a + 1}: no configuration of one continues from the other without "
         "leaving the skill beside a gripper event"
