@@ -32,8 +32,9 @@ class PlannerConfig:
     check: CheckConfig = CheckConfig()
     attempts: int = 8
     """Routes of a task that are tried, best first."""
-    fallback: RrtConfig | None = RrtConfig()
-    """What bridges where the joint agent finds no way; None gives up there."""
+    fallback: RrtConfig | None = RrtConfig(margin=0.001)
+    """What bridges where the joint agent finds no way; None gives up there. Beside key poses there
+    is no room for a larger margin."""
 
 
 @dataclass(frozen=True)

@@ -67,8 +67,8 @@ def why_infeasible(cell: Workcell, engine: Engine, task: Task, routes: Routes) -
     if a == 0 and touched:
         return f"key pose 0, where the arm stands, collides: {touched}"
     return (
-        f"key pose {a} to {a + 1}: no configuration of one continues from the other without "
-        "leaving the skill beside a gripper event"
+        f"key pose {a} to {a + 1}: no candidate of either begins a feasible joint path along "
+        "the skill"
     )
 
 

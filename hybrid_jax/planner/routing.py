@@ -19,7 +19,9 @@ from hybrid_jax.types import Scene, Workcell
 HANDOVER = 3
 """Way points by which a gap reaches into the feasible parts on both sides."""
 GUARD = 1
-"""Way points beside a gripper event that belong to the skill: no hand-over there."""
+"""Way points beside a gripper event that belong to the skill: no hand-over there, ..."""
+LAST_RESORT = 1000.0
+"""... unless no other route is left: what such a leg costs more, in infeasible way points."""
 TOGETHER = 16
 """Tasks that are labelled in one call."""
 GAP_COST, WAY_COST = 10.0, 5.0
@@ -92,8 +94,10 @@ class Routes:
         cost = np.where(self.joined, away, GAP_COST + (end - begin) + away)
         start_guard = np.where(events[:-1], GUARD, 0)[:, None, None]
         end_guard = points - 1 - np.where(events[1:], GUARD, 0)[:, None, None]
-        allowed = (self.first >= start_guard) & (self.last <= end_guard)
-        cost = np.where(allowed | self.joined, cost, np.inf)
+        guarded = (self.first >= start_guard) & (self.last <= end_guard)
+        cost = np.where(guarded | self.joined, cost, cost + LAST_RESORT)
+        possible = (self.first >= 0) & (self.last <= points - 1)
+        cost = np.where(possible, cost, np.inf)
         same = np.eye(cost.shape[1], dtype=bool) & labels.kept[:, :, None]
         cost = np.where(same, 0.0, cost)
         self.joined = self.joined | same
