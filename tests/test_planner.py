@@ -28,6 +28,7 @@ from hybrid_jax.planner.lfd import optimal_chooser
 from hybrid_jax.planner.loading import optimal_switcher, read_library
 from hybrid_jax.planner.pipeline import lfd_only, plan_batch, plan_motion
 from hybrid_jax.planner.records import Planner
+from hybrid_jax.planner.refusing import admit
 from hybrid_jax.planner.scenes import CARRYING, REACHING, inside, phase_scene, task_scenes
 from hybrid_jax.rrt import RrtConfig
 from hybrid_jax.simulation.execution import execute, start_data
@@ -161,13 +162,14 @@ def test_bad_numbers_are_refused_by_name(planner, planned, change, words):
 
 
 def test_a_start_outside_the_limits_is_clipped_if_rounding_did_it_else_refused(cell, planner):
-    high, poses = float(cell.joint_limits[1, 1]), sample_scene(cell, 4)
-    start = np.array(cell.home)
-    start[1] = high + 2e-4
+    low, high, poses = *np.asarray(cell.joint_limits).T, sample_scene(cell, 4)
+    start, engine = np.array(cell.home), checking.Engine(cell)
+    start[5] = high[5] + 2e-4  # bent all the way back, the wrist touches nothing
     task = handling_task(cell, "block_2", poses, start)
-    clipped = plan_motion(planner, task, key=jax.random.key(0))
-    assert "joint_2 starts at" in clipped.detail or clipped.status is not Status.START_INVALID
-    start[1] = high + 0.1
+    clipped, note, refusal = admit(cell, engine, task)
+    assert refusal is None and (clipped.start <= high).all() and (clipped.start >= low).all()
+    assert note.startswith("(joint_6 starts at") and note.endswith("put back to the limit)")
+    start[5] = high[5] + 0.1
     far = plan_motion(planner, handling_task(cell, "block_2", poses, start), key=jax.random.key(0))
     assert far.status is Status.START_INVALID and "0.1 rad outside its limits" in far.detail
     nan = replace(task, start=np.full(7, np.nan))
@@ -179,8 +181,8 @@ def test_a_start_that_collides_is_named_with_what_it_touches(cell, planner):
     low[1] += 1.6
     task = handling_task(cell, "block_2", sample_scene(cell, 4), low)
     result = plan_motion(planner, task, key=jax.random.key(0))
-    assert result.status is Status.TASK_INFEASIBLE
-    assert result.detail.startswith("key pose 0, where the arm stands, collides: ")
+    assert result.status is Status.START_INVALID
+    assert result.detail.startswith("the arm collides where it stands: ")
 
 
 def test_another_start_is_where_the_plan_begins(cell, planner):
@@ -218,7 +220,7 @@ def test_a_seam_that_keeps_no_margin_is_reported(planner, planned):
 
 
 def test_what_the_final_check_rejects_is_not_returned(planner, planned):
-    config = replace(planner.config, check=replace(planner.config.check, clearance=0.04))
+    config = replace(planner.config, check=replace(planner.config.check, clearance=0.02))
     result = plan_motion(replace(planner, config=config), planned[0], key=jax.random.key(0))
     assert result.status is Status.COLLISION and not result.phases
     assert "comes too close to" in result.detail

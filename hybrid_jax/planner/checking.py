@@ -103,6 +103,7 @@ class Engine:
         self.layout, self.config = cell.source.layout, config
         self.model = model = copy.deepcopy(cell.model)
         model.geom_margin[:] = config.clearance  # contacts are reported from this distance on
+        model.body_margin[:] = config.clearance  # what the broad phase looks at
         model.geom_gap[:] = 0.0
         self.data = mujoco.MjData(model)
         self.robot = np.asarray(moved_geoms(model, self.layout), bool)

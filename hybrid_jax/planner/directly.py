@@ -24,10 +24,11 @@ def joint_agent_only(planner: Planner, task: Task, *, key) -> PlanResult:
     """Plan a task with the planner's bridger alone; checked like every plan."""
     if planner.bridge is None:
         raise ValueError("the planner has no bridger")
-    task, note, refusal = admit(planner.cell, task)
+    engine = Engine(planner.cell, planner.config.check)
+    task, note, refusal = admit(planner.cell, engine, task)
     if refusal:
         return refusal
-    scenes, engine = task_scenes(planner.cell, task), Engine(planner.cell, planner.config.check)
+    scenes = task_scenes(planner.cell, task)
     phases, start = [], np.asarray(task.start)
     for phase in range(len(task.phases)):
         key_phase = jax.random.fold_in(key, phase)

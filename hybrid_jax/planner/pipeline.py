@@ -72,8 +72,8 @@ def plan_batch(planner: Planner, tasks: Sequence[Task], *, key: Array) -> list[P
         key: draws IK seeds and rollouts; consumed.
     """
     key_label, key_bridge = jax.random.split(key)
-    results, jobs = prepare(planner, tasks, key_label)
     engine, config = Engine(planner.cell, planner.config.check), planner.config
+    results, jobs = prepare(planner, engine, tasks, key_label)
     fallback = rrt_bridger(planner.cell, config.fallback) if config.fallback else None
     for attempt in range(config.attempts):
         going = [job for job in jobs.values() if not job.done]
@@ -89,12 +89,12 @@ def plan_batch(planner: Planner, tasks: Sequence[Task], *, key: Array) -> list[P
 
 
 def prepare(
-    planner: Planner, tasks: Sequence[Task], key: Array
+    planner: Planner, engine: Engine, tasks: Sequence[Task], key: Array
 ) -> tuple[dict[int, PlanResult], dict[int, Job]]:
     """Answers for what cannot be planned, and jobs for the others, by the number of the task."""
     results, rows = {}, {}
     for number, task in enumerate(tasks):
-        task, note, refusal = admit(planner.cell, task)
+        task, note, refusal = admit(planner.cell, engine, task)
         if refusal:
             results[number] = refusal
             continue

@@ -31,7 +31,7 @@ def _bad_numbers(cell: Workcell, task: Task) -> str | None:
     return None
 
 
-def admit(cell: Workcell, task: Task) -> tuple[Task, str, PlanResult | None]:
+def admit(cell: Workcell, engine: Engine, task: Task) -> tuple[Task, str, PlanResult | None]:
     """The task as it can be planned, what was changed, and a refusal if it cannot be planned."""
     low, high = np.asarray(cell.joint_limits).T
     start = np.asarray(task.start)
@@ -42,17 +42,22 @@ def admit(cell: Workcell, task: Task) -> tuple[Task, str, PlanResult | None]:
     if wrong:
         return task, "", PlanResult(Status.INVALID_TASK, wrong)
     over = np.maximum(low - start, start - high)
-    worst = int(np.argmax(over))
-    if over[worst] <= 0:
-        return task, "", None
-    sentence = (
-        f"{cell.joint_names[worst]} starts at {start[worst]:.6f}, {over[worst]:.2g} rad outside "
-        f"its limits {low[worst]:.4f} to {high[worst]:.4f}"
-    )
-    if over[worst] > ROUNDING:
-        return task, "", PlanResult(Status.START_INVALID, sentence)
-    clipped = np.clip(start, low, high).astype(np.float32)
-    return replace(task, start=clipped), f"({sentence}: put back to the limit)", None
+    worst, note = int(np.argmax(over)), ""
+    if over[worst] > 0:
+        sentence = (
+            f"{cell.joint_names[worst]} starts at {start[worst]:.6f}, {over[worst]:.2g} rad outside"
+            f" its limits {low[worst]:.4f} to {high[worst]:.4f}"
+        )
+        if over[worst] > ROUNDING:
+            return task, "", PlanResult(Status.START_INVALID, sentence)
+        start, note = np.clip(start, low, high), f"({sentence}: put back to the limit)"
+        task = replace(task, start=start.astype(np.float32))
+    engine.enter(phase_scene(cell, task, int(segment_kinds(task)[0])))
+    touched = engine.collision(start)
+    if touched:
+        detail = f"the arm collides where it stands: {touched}"
+        return task, "", PlanResult(Status.START_INVALID, detail)
+    return task, note, None
 
 
 def why_infeasible(cell: Workcell, engine: Engine, task: Task, routes: Routes) -> str:
@@ -62,10 +67,6 @@ def why_infeasible(cell: Workcell, engine: Engine, task: Task, routes: Routes) -
         if not labels.usable[k].any():
             return _why_unreachable(cell, engine, task, k, labels)
     a = routes.blocked_segment()
-    engine.enter(phase_scene(cell, task, int(segment_kinds(task)[0])))
-    touched = engine.collision(np.asarray(task.start))
-    if a == 0 and touched:
-        return f"key pose 0, where the arm stands, collides: {touched}"
     return (
         f"key pose {a} to {a + 1}: no candidate of either begins a feasible joint path along "
         "the skill"

@@ -23,8 +23,8 @@ def combined_phases(planner: Planner, tasks: Sequence[Task], key: Array) -> list
     the skill's own motion stands in for both.
     """
     key_label, key_bridge = jax.random.split(key)
-    _, jobs = prepare(planner, tasks, key_label)
     engine = Engine(planner.cell, planner.config.check)
+    _, jobs = prepare(planner, engine, tasks, key_label)
     for job in jobs.values():
         choose_route(planner, engine, job)
     ready = [job for job in jobs.values() if not job.done]
