@@ -70,12 +70,7 @@ def train_switch(planner: Planner, key: jax.Array) -> tuple[Callable, np.ndarray
     reached = np.asarray(choose(policy, problems[1])[1])
     each = [jax.tree.map(lambda a, i=i: a[i], problems[1]) for i in range(len(reached))]
     best = np.array([switching.optimal_switching(one, config)[1] for one in each])
-
-    def switch(combined):
-        one = jax.tree.map(lambda a: a[None], combined)
-        return np.asarray(choose(policy, one)[0][0])
-
-    return switch, reached / best
+    return switching.make_switcher(net, policy, config), reached / best
 
 
 def learn(cell: Workcell) -> Learned:

@@ -8,6 +8,7 @@ points; ours adds the jump and the switch. With two choices a step the optimum i
 """
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import jax
@@ -186,6 +187,19 @@ def make_net(joints: int, config: SwitchConfig) -> networks.ActorCritic:
     return networks.make_networks(
         SwitchWorld.observation_length(joints), 2, config.training.hidden, discrete=True
     )
+
+
+def make_switcher(
+    net: networks.ActorCritic, policy: networks.Policy, config: SwitchConfig
+) -> Callable[[Combined], np.ndarray]:
+    """The trained agent as a function of one problem to its choices `[STEPS]`."""
+    run = jax.jit(functools.partial(choose, net, config=config))
+
+    def switch(combined: Combined) -> np.ndarray:
+        one = jax.tree.map(lambda a: a[None], combined)
+        return np.asarray(run(policy, one)[0][0])
+
+    return switch
 
 
 def choose(

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from hybrid_jax import artifacts
 from hybrid_jax.agents import dqn, joint, networks, switching
@@ -52,13 +51,7 @@ def learned_switcher(run: Run) -> Switcher:
     policy = load_policy(
         run, "switch.npz", "switching agent", net, switching.SwitchWorld.observation_length(joints)
     )
-    choose = jax.jit(functools.partial(switching.choose, net, config=config))
-
-    def switch(combined):
-        one = jax.tree.map(lambda a: a[None], combined)
-        return np.asarray(choose(policy, one)[0][0])
-
-    return switch
+    return switching.make_switcher(net, policy, config)
 
 
 def load_chooser(run: Run) -> SkillChooser:
