@@ -24,6 +24,7 @@ from hybrid_jax.kernels.collision import clearance
 from hybrid_jax.planner import checking, smoothing
 from hybrid_jax.planner.bridging import bridge_gaps, rrt_bridger
 from hybrid_jax.planner.directly import joint_agent_only
+from hybrid_jax.planner.finishing import find_faults
 from hybrid_jax.planner.lfd import optimal_chooser
 from hybrid_jax.planner.loading import optimal_switcher, read_library
 from hybrid_jax.planner.pipeline import lfd_only, plan_batch, plan_motion
@@ -240,13 +241,17 @@ def test_the_joint_agent_alone_goes_from_event_to_event(cell, planner, planned):
     np.testing.assert_allclose(result.phases[2].positions[-1], cell.home, atol=1e-3)
 
 
-def test_the_final_check_sees_a_wall(cell, planned):
+def test_the_final_check_sees_a_wall(cell, planner, reaching, planned):
     task, result = planned
     engine, scene = checking.Engine(cell), phase_scene(cell, task, REACHING)
     assert checking.collision_fault(engine, scene, result.phases[0].positions) is None
     q = np.array(result.phases[0].positions)
     reach = np.clip(q + np.linspace(0, 1, len(q))[:, None] * [1.2, 0, 0, 0, 0, 0, 0], -6, 6)
     assert "touches" in checking.collision_fault(engine, scene, reach)
+    bad = replace(result.phases[0], positions=reach)
+    faults = find_faults(planner, engine, reaching, task, 0, bad)
+    assert any("clearance falls to -" in f for f in faults), "the kernels see it as well"
+    assert any("touches" in f for f in faults) and any("key pose 1 is missed" in f for f in faults)
 
 
 def test_the_final_check_carries_the_object(cell, planned):

@@ -21,7 +21,6 @@ class Fault:
 
     status: Status
     detail: str
-    phase: int
 
 
 def phase_path(
@@ -113,7 +112,7 @@ def finish_phase(
     """
     cell = inside(planner.cell, scenes, task.phases[number][0])
     path = phase_path(cell, legs, ways, planner)
-    fault = Fault(Status.SEAM_FAILED, Status.SEAM_FAILED.sentence, number)
+    fault = Fault(Status.SEAM_FAILED, Status.SEAM_FAILED.sentence)
     for q, sources in _candidates(planner, cell, path):
         trajectory = time_path(planner, cell, q, sources)
         if trajectory is None:
@@ -121,7 +120,7 @@ def finish_phase(
         faults = find_faults(planner, engine, cell, task, number, trajectory)
         if not faults:
             return trajectory
-        fault = Fault(Status.COLLISION, "; ".join(faults), number)
+        fault = Fault(Status.COLLISION, "; ".join(faults))
     return fault
 
 

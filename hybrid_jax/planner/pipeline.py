@@ -14,7 +14,7 @@ from hybrid_jax.planner.bridging import Way, bridge_gaps, rrt_bridger
 from hybrid_jax.planner.checking import Engine
 from hybrid_jax.planner.finishing import Fault, finish_phase
 from hybrid_jax.planner.harvest import gap_segment
-from hybrid_jax.planner.lfd import SkillPath, skill_path
+from hybrid_jax.planner.lfd import skill_path
 from hybrid_jax.planner.records import Planner, PlanResult
 from hybrid_jax.planner.refusing import admit, why_infeasible
 from hybrid_jax.planner.routing import Leg, Routes, label_paths
@@ -30,8 +30,8 @@ class Job:
     task: Task
     note: str
     """What was changed before planning, as a sentence; mostly empty."""
-    path: SkillPath
     names: list[str]
+    """Skill of each segment."""
     scenes: Scene
     routes: Routes
     legs: list[Leg] = field(default_factory=list)
@@ -92,13 +92,13 @@ def prepare(
     planner: Planner, engine: Engine, tasks: Sequence[Task], key: Array
 ) -> tuple[dict[int, PlanResult], dict[int, Job]]:
     """Answers for what cannot be planned, and jobs for the others, by the number of the task."""
-    results, rows = {}, {}
+    results, jobs_of = {}, {}
     for number, task in enumerate(tasks):
         task, note, refusal = admit(planner.cell, engine, task)
         if refusal:
             results[number] = refusal
             continue
-        # Alg. 1, l. 27: call Algorithm 2 to calculate the task-space trajectory traj_LfD
+        # Alg. 1, l. 28: call Algorithm 2 to calculate the task-space trajectory traj_LfD
         path = skill_path(planner.library, task, planner.choose, planner.config.skills)
         if not path.plan:
             missing = "; ".join(str(m) for m in path.missing)
@@ -106,17 +106,17 @@ def prepare(
             results[number] = PlanResult(Status.NEED_DEMO, detail)
             continue
         names = [planner.library.names[k] for _, _, k in path.plan]
-        rows[number] = task, note, path, names, task_scenes(planner.cell, task)
-    # Alg. 1, l. 31-33: inverse kinematics; which segments are feasible (FJ) and which are not
+        jobs_of[number] = path.poses, (task, note, names, task_scenes(planner.cell, task))
+    # Alg. 1, l. 32-34: inverse kinematics; which segments are feasible (FJ) and which are not
     jobs = {}
-    for size in {len(row[2].poses) for row in rows.values()}:
-        some = {i: row for i, row in rows.items() if len(row[2].poses) == size}
+    for size in {len(poses) for poses, _ in jobs_of.values()}:
+        some = {i: row for i, row in jobs_of.items() if len(row[0]) == size}
+        poses, rows = zip(*some.values(), strict=True)
         found = label_paths(
-            planner.cell, [r[0] for r in some.values()], [r[4] for r in some.values()],
-            [r[2].poses for r in some.values()], planner.scale,
-            jax.random.fold_in(key, size), planner.config.labels,
+            planner.cell, [row[0] for row in rows], [row[-1] for row in rows], list(poses),
+            planner.scale, jax.random.fold_in(key, size), planner.config.labels,
         )  # fmt: skip
-        for (number, row), routes in zip(some.items(), found, strict=True):
+        for number, row, routes in zip(some, rows, found, strict=True):
             jobs[number] = Job(*row, routes)
     return results, jobs
 
@@ -133,7 +133,7 @@ def choose_route(planner: Planner, engine: Engine, job: Job) -> None:
 
 
 def bridge_jobs(planner: Planner, fallback, jobs: list[Job], key: Array) -> None:
-    """Alg. 1, l. 28-30: call Algorithm 3 on the infeasible segments: traj_DRL."""
+    """Alg. 1, l. 29-31: call Algorithm 3 on the infeasible segments: traj_DRL."""
     gaps = [(job, leg) for job in jobs for leg in job.legs
             if leg.has_gap and leg.name not in job.ways]  # fmt: skip
     if not gaps:
@@ -151,7 +151,7 @@ def bridge_jobs(planner: Planner, fallback, jobs: list[Job], key: Array) -> None
 
 
 def finish_job(planner: Planner, engine: Engine, job: Job) -> None:
-    """Alg. 1, l. 34-36: concatenate, let the switching policy choose; then time and check."""
+    """Alg. 1, l. 35-37: concatenate, let the switching policy choose; then time and check."""
     if any(leg.has_gap and leg.name not in job.ways for leg in job.legs):
         return
     for number, (low, high) in enumerate(job.task.phases):
