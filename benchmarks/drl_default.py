@@ -27,9 +27,9 @@ from hybrid_jax.simulation.reach import ReachWorld
 from hybrid_jax.types import Workcell
 
 CONFIG = DEFAULT.joint
-SINGLE = replace(CONFIG, rollouts=1, enough=1, candidates=1, retries=1)
+SINGLE = replace(CONFIG, rollouts=(1,), candidates=1)
 """One rollout, of the policy's mode."""
-MANY = replace(CONFIG, rollouts=64, retries=1)
+MANY = replace(CONFIG, rollouts=(64,))
 """One call of the planner's function."""
 TIMED = 100
 """Segments of the test whose calls are timed."""
@@ -147,8 +147,9 @@ def figures(
     early = [solved(single, p, test)[0].mean() for p in halves]
     many, calls = zip(*(solved(best, p, test) for p in ends), strict=True)
     calls = np.concatenate([c[1:] for c in calls])
+    enough = int(64 * CONFIG.enough)
     strict = rollout_seconds(cell, net, ends[0], test, None)
-    quick = rollout_seconds(cell, net, ends[0], test, CONFIG.enough)
+    quick = rollout_seconds(cell, net, ends[0], test, enough)
     world = joint.make_world(cell, problems.training, config)
     rows = [
         metric("drl.train_default_seconds", seconds[0], "s", "lower",
@@ -162,7 +163,7 @@ def figures(
         metric("drl.rollouts_64_seconds", float(np.median(strict)), "s", "lower",
                f"every rollout to its end; p95 {np.quantile(strict, 0.95):.4f}"),
         metric("drl.rollouts_64_seconds_enough", float(np.median(quick)), "s", "lower",
-               f"until {CONFIG.enough} have arrived, as the planner calls it; "
+               f"until {enough} have arrived, as the planner calls it; "
                f"p95 {np.quantile(quick, 0.95):.4f}"),
         metric("drl.bridge_seconds", float(np.median(calls)), "s", "lower",
                f"the whole call: 64 rollouts, ranking, exact check; "

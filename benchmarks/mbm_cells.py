@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The Panda problems of MotionBenchMaker as work cells: one cell a problem, one trace for all.
+"""The Panda problems of MotionBenchMaker as work cells: one cell a problem, one trace a scene.
 
 The robot is the spheres of the data; boxes stay boxes, cylinders become prisms that contain them.
 """
@@ -80,7 +80,7 @@ def _add_obstacles(spec: mujoco.MjSpec, data: dict, i: int) -> None:
 
 
 def read_problems(folder: Path, every: int = 1) -> list[Problem]:
-    """The valid problems, or every n-th of each scene.
+    """The valid problems, or every n-th of each scene; the cells of a scene are unified.
 
     Raises:
         FileNotFoundError: the folder lacks the data.
@@ -89,13 +89,19 @@ def read_problems(folder: Path, every: int = 1) -> list[Problem]:
     with np.load(folder / "panda_problems.npz") as file:
         data = {name: file[name] for name in file.files}
     chosen = [i for i in np.flatnonzero(data["exact_valid"]) if data["index"][i] % every == 0]
-    cells = []
-    for i in chosen:
-        spec = robot_spec(robot)
-        _add_obstacles(spec, data, i)
-        cells.append(compile_workcell(spec.compile(), f"panda_{data['name'][i]}", None))
-    return [
-        Problem(str(data["name"][i]), int(data["index"][i]), cell,
-                data["start"][i].astype(np.float32), data["goals"][i, 0].astype(np.float32))
-        for i, cell in zip(chosen, unify_shapes(cells), strict=True)
-    ]  # fmt: skip
+    found = []
+    for scene in dict.fromkeys(data["name"][chosen]):
+        here = [i for i in chosen if data["name"][i] == scene]
+        cells = unify_shapes([_compiled(robot, data, i) for i in here])
+        found += [
+            Problem(str(scene), int(data["index"][i]), cell,
+                    data["start"][i].astype(np.float32), data["goals"][i, 0].astype(np.float32))
+            for i, cell in zip(here, cells, strict=True)
+        ]  # fmt: skip
+    return found
+
+
+def _compiled(robot: dict, data: dict, i: int) -> Workcell:
+    spec = robot_spec(robot)
+    _add_obstacles(spec, data, i)
+    return compile_workcell(spec.compile(), f"panda_{data['name'][i]}", None)

@@ -16,7 +16,7 @@ from hybrid_jax.simulation.reach import ReachConfig, ReachWorld
 
 COUNT = 12
 CONFIG = joint.JointAgentConfig(
-    training=ppo.PpoConfig(steps=8_192, envs=64, minibatch=512), rollouts=8, retries=1
+    training=ppo.PpoConfig(steps=8_192, envs=64, minibatch=512), rollouts=(8,)
 )
 
 

@@ -36,18 +36,16 @@ class JointAgentConfig:
     """Their type says which algorithm trains."""
     reach: ReachConfig | PaperReachConfig = ReachConfig()
     """Their type says which world it learns in."""
-    rollouts: int = 64
-    """Rollouts of one planning call."""
-    enough: int = 16
-    """Rollouts that must arrive before the others, which would be longer, are given up."""
+    rollouts: tuple[int, ...] = (16, 64)
+    """Rollouts of a planning call, and of the next one where it finds nothing."""
+    enough: float = 0.25
+    """Share of them that must arrive before the others, which would be longer, are given up."""
     candidates: int = 4
     """Shortest rollouts among which the best is picked."""
     clearance_worth: float = 10.0
     """Way of the joints that a metre of clearance is worth [rad/m], ..."""
     ample_clearance: float = 0.05
     """... up to this clearance [m]."""
-    retries: int = 2
-    """Planning calls before the agent gives up."""
     edge_samples: int = 4
     """Clearance checks along a move at planning time. With two, one path in ten is refused by the
     exact check, and the mode of a policy that learned with two may insist on moves that planning
@@ -205,23 +203,22 @@ def make_bridging(
     Raises:
         SegmentError: the function, if an end of a segment is outside the limits or not free.
     """
-    spread = spreads(config.rollouts)
 
-    @jax.jit
-    def run(policy, segments, key):
+    @functools.partial(jax.jit, static_argnames="each")
+    def run(policy, segments, key, each):
         world, count = planning_world(cell, segments, config), segments.start.shape[0]
-        index = jnp.repeat(jnp.arange(count), config.rollouts)
-        wide = jnp.tile(spread, count)
-        q, reached = rollouts(world, net, policy, index, wide, key, config.enough)
-        q = jnp.moveaxis(q.reshape(len(q), count, config.rollouts, -1), 1, 0)
+        index = jnp.repeat(jnp.arange(count), each)
+        wide, enough = jnp.tile(spreads(each), count), max(1, int(config.enough * each))
+        q, reached = rollouts(world, net, policy, index, wide, key, enough)
+        q = jnp.moveaxis(q.reshape(len(q), count, each, -1), 1, 0)
         rank = lambda scene, q, reached: _best_first(  # noqa: E731
             cell.replace(scene=scene), q, reached, config
         )
         return jax.vmap(rank)(segments.scene, q, reached.reshape(count, -1))
 
-    def attempt(policy, segments, key, ways, index):
-        """Bridge the segments `index`, as far as it goes."""
-        ranked, arrived = jax.device_get(run(policy, take(segments, index), key))
+    def attempt(policy, segments, key, ways, index, each):
+        """Bridge the segments `index`, as far as it goes, by so many rollouts each."""
+        ranked, arrived = jax.device_get(run(policy, take(segments, index), key, each))
         for rank in range(ranked.shape[1]):
             rows = [r for r in range(len(index)) if ways[index[r]] is None and arrived[r, rank]]
             paths = [_moved(ranked[r, rank]) for r in rows]
@@ -235,11 +232,11 @@ def make_bridging(
     def bridge(policy, segments, key):
         refuse_infeasible(cell, segments, 0.0)
         ways: list[np.ndarray | None] = [None] * segments.start.shape[0]
-        for number in range(config.retries):
+        for number, each in enumerate(config.rollouts):
             missing = np.array([i for i, way in enumerate(ways) if way is None], int)
             for part, (chunk, _) in enumerate(padded_chunks(len(missing), TOGETHER)):
                 key_part = jax.random.fold_in(jax.random.fold_in(key, number), part)
-                attempt(policy, segments, key_part, ways, missing[chunk])
+                attempt(policy, segments, key_part, ways, missing[chunk], each)
         return ways
 
     return bridge

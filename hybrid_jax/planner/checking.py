@@ -15,6 +15,9 @@ from scipy.spatial.transform import Rotation
 from hybrid_jax.types import Trajectory, Workcell
 from hybrid_jax.workcell.layout import moved_geoms
 
+MASK_BITS = 10
+"""Bits of a contact mask of the model that are told apart: three times so many fit an integer."""
+
 
 @dataclass(frozen=True)
 class CheckConfig:
@@ -106,6 +109,7 @@ class Engine:
         model.body_margin[:] = config.clearance  # what the broad phase looks at
         model.geom_gap[:] = 0.0
         self.data = mujoco.MjData(model)
+        self.masks = model.geom_contype.copy(), model.geom_conaffinity.copy()
         self.robot = np.asarray(moved_geoms(model, self.layout), bool)
         self.joints = list(self.layout.qpos)
         self.fingers = [model.jnt_qposadr[j] for j in self.layout.fingers]
@@ -120,6 +124,23 @@ class Engine:
         self.object = names.index(scene.held) if scene.held else -1
         self.held_body = self.layout.object_bodies[self.object] if scene.held else -1
         self.moving = self.robot | (self.model.geom_bodyid == self.held_body)
+        self._skip_idle_pairs()
+
+    def _skip_idle_pairs(self) -> None:
+        """Let the engine skip pairs that never count: of what stands still, of fingers and payload.
+
+        It would report an object on its tray at every configuration. The masks of what stands still
+        are asked by what moves alone; the arm asks its own masks in bits that the payload lacks.
+        """
+        kind, mask = self.masks
+        if max(kind.max(), mask.max()) >> MASK_BITS:
+            return
+        still, model = ~self.moving, self.model
+        model.geom_contype[:] = np.where(self.robot, kind << 2 * MASK_BITS, 0)
+        model.geom_contype[still] = (kind | mask << MASK_BITS)[still]
+        asks = mask | kind << MASK_BITS
+        model.geom_conaffinity[:] = np.where(self.robot, asks | mask << 2 * MASK_BITS, asks)
+        model.geom_conaffinity[still] = 0
 
     def place(self, q: np.ndarray) -> None:
         """Put the arm, and what it holds, in a configuration."""
