@@ -35,9 +35,8 @@ class OmplTasks:
         # its paths may touch: they are smoothed where that costs no contact, else left as they are
         smoothing = planner.config.smoothing
         self.smooth, self.bare = (
-            replace(planner, config=replace(planner.config, smoothing=some))
-            for some in (replace(smoothing, margin=0.0), replace(smoothing, margin=-1, widths=(0,)))
-        )
+            replace(smoothing, margin=0.0), replace(smoothing, margin=-1, widths=(0,)),
+        )  # fmt: skip
         self.labels = replace(
             planner.config.labels, key_margin=0.0, least_manipulability=0.0, candidates=8
         )
@@ -81,6 +80,7 @@ class OmplTasks:
             cell = inside(self.planner.cell, scenes, low)
             q = np.concatenate([paths[low], *(p[1:] for p in paths[low + 1 : high])])
             marks = np.full(len(q), Source.RRT, np.uint8)
-            trajectory = time_path(self.smooth, cell, q, marks)
-            phases.append(trajectory or time_path(self.bare, cell, q, marks))
+            timing = self.planner.config.timing
+            trajectory = time_path(cell, q, marks, self.smooth, timing)
+            phases.append(trajectory or time_path(cell, q, marks, self.bare, timing))
         return PlanResult(Status.OK, "", phases)

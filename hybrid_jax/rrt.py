@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""RRT-Connect for many problems in lockstep, on the collision kernels.
+"""RRT-Connect with many workers, for many problems in lockstep, on the collision kernels.
 
 Reference: Kuffner, LaValle, "RRT-Connect: An Efficient Approach to Single-Query Path Planning",
-ICRA 2000. It tells which problems have a solution; nothing that it returns is used unchecked.
+ICRA 2000. Each worker walks along a branch, `samples` configurations in a call of the kernel. One
+that is blocked, or has arrived, leaves a node where it stands and takes the next branch at once:
+most branches are blocked after a few configurations, and nobody waits for the long ones. Nothing
+that is returned is used unchecked.
 """
 
 import functools
@@ -14,7 +17,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float, PRNGKeyArray
 
-from hybrid_jax.kernels.collision import clearance, edge_clearance, points_between
+from hybrid_jax.kernels.collision import clearance_up_to
 from hybrid_jax.types import Scene, Workcell, pytree
 
 
@@ -22,18 +25,18 @@ from hybrid_jax.types import Scene, Workcell, pytree
 class RrtConfig:
     """Settings of the planner."""
 
-    nodes: int = 400
-    """Capacity of each of the two trees, and number of iterations."""
-    step: float = 0.5
-    """Length of an extension in joint space [rad]."""
-    reach: float = 1.5
-    """Longest edge that may join the trees [rad]."""
-    edge_samples: int = 5
-    """Checks along an extension."""
-    join_samples: int = 12
-    """Checks along the edge that joins the trees."""
-    goal_bias: float = 0.2
-    """Share of samples that aim at the other tree's root."""
+    workers: int = 32
+    """Branches that are walked at the same time, half of them from each end."""
+    samples: int = 8
+    """Configurations of a branch that are checked in one call of the kernel."""
+    calls: int = 300
+    """Of the kernel, before it gives up."""
+    capacity: int = 2048
+    """Nodes of each tree."""
+    spacing: float = 0.0625
+    """Distance of the configurations that are checked [rad]."""
+    growth: float = 1.0
+    """Longest branch towards a sample [rad]."""
     margin: float = 0.004
     """Clearance to keep [m]."""
     spread: float = 1.2
@@ -41,83 +44,159 @@ class RrtConfig:
 
 
 @pytree
-class _Tree:
-    nodes: Array
-    parents: Array
-    count: Array
+class _Branches:
+    """What each worker walks along; leaves have an axis `[worker]`."""
+
+    tree: Array
+    """That it grows: 0 from the start, 1 from the goal."""
+    parent: Array
+    """Node of that tree at which it begins, ..."""
+    start: Array
+    """... where that is, ..."""
+    target: Array
+    """... and the configuration that it leads to."""
+    meets: Array
+    """Node of the other tree that stands there; -1 if none does."""
+    walked: Array
+    """How much of it is known to be free [rad]."""
 
 
 @pytree
-class _State:
-    trees: _Tree
-    """Leading axis 2: from the start, from the goal."""
+class _Search:
+    """One problem on its way; both trees have a leading axis of 2."""
+
+    nodes: Array
+    """`[2, node, joint]`"""
+    parents: Array
+    """`[2, node]`"""
+    count: Array
+    """`[2]`"""
+    branches: _Branches
     solved: Array
     join: Array
     """`[2]` node of each tree at which they met."""
-    key: Array
 
 
-def _nearest(tree: _Tree, q: Array) -> tuple[Array, Array]:
-    used = jnp.arange(tree.parents.size) < tree.count
-    away = jnp.where(used, jnp.sum((tree.nodes - q) ** 2, axis=-1), jnp.inf)
-    index = jnp.argmin(away)
-    return index, jnp.sqrt(away[index])
+def _nearest(search: _Search, tree: Array, q: Array) -> tuple[Array, Array]:
+    """Nearest node of one tree each to configurations `[worker, joint]`, and where it is."""
+    used = jnp.arange(search.nodes.shape[1]) < search.count[:, None]
+    size = jnp.where(used, jnp.sum(search.nodes**2, axis=-1), jnp.inf)
+    away = size[:, None] - 2 * jnp.einsum("wj,tnj->twn", q, search.nodes, precision="highest")
+    index = jnp.argmin(away, axis=-1)[tree, jnp.arange(len(tree))]
+    return index, search.nodes[tree, index]
 
 
-def _iterate(cell: Workcell, config: RrtConfig, state: _State, turn: Array) -> _State:
-    """Extend one tree by one step, then try to join it to the other."""
-    key_sample, key_bias, key = jax.random.split(state.key, 3)
-    tree, other = (jax.tree.map(lambda a, i=i: a[i], state.trees) for i in (turn, 1 - turn))
-    roots = state.trees.nodes[:, 0]
+def _walk(cell: Workcell, branches: _Branches, config: RrtConfig) -> tuple[Array, Array, Array]:
+    """Go on along every branch.
+
+    Returns:
+        How much of each is free [rad], whether it is blocked, and whether it has arrived.
+    """
+    way = branches.target - branches.start
+    length = jnp.maximum(jnp.linalg.norm(way, axis=-1), 1e-6)
+    ahead = branches.walked[:, None] + jnp.arange(1, config.samples + 1) * config.spacing
+    ahead = jnp.minimum(ahead, length[:, None])
+    points = branches.start[:, None] + (ahead / length[:, None])[..., None] * way[:, None]
+    check = jax.vmap(jax.vmap(clearance_up_to, (None, 0, None)), (None, 0, None))
+    free = jnp.cumprod(check(cell, points, config.margin) >= config.margin, axis=1)
+    walked = jnp.max(jnp.where(free, ahead, branches.walked[:, None]), axis=1)
+    blocked = free[:, -1] == 0
+    return walked, blocked, ~blocked & (walked >= length)
+
+
+def _next_branches(
+    cell: Workcell, search: _Search, new: Array, number: Array, key: Array, config: RrtConfig
+) -> _Branches:
+    """What each worker would do next: lead the other tree to its new node, or follow a sample.
+
+    Args:
+        cell: limits.
+        search: the trees, new nodes included.
+        new: `[worker, joint]` new nodes.
+        number: `[worker]` theirs, -1 where there is none to connect.
+        key: consumed.
+        config: lengths.
+    """
+    roots, workers = search.nodes[:, 0], jnp.arange(config.workers)
     low = jnp.maximum(cell.chain.limits[:, 0], jnp.min(roots, 0) - config.spread)
     high = jnp.minimum(cell.chain.limits[:, 1], jnp.max(roots, 0) + config.spread)
-    target = jax.random.uniform(key_sample, low.shape, low.dtype, low, high)
-    target = jnp.where(jax.random.uniform(key_bias) < config.goal_bias, other.nodes[0], target)
-    near, away = _nearest(tree, target)
-    start = tree.nodes[near]
-    new = start + (target - start) * jnp.minimum(1.0, config.step / jnp.maximum(away, 1e-6))
-    meet, gap = _nearest(other, new)
-    extension = points_between(start, new, config.edge_samples)
-    bridge = points_between(new, other.nodes[meet], config.join_samples)
-    clear = jax.vmap(clearance, (None, 0))(cell, jnp.concatenate([extension, bridge]))
-    free, joined = (jnp.all(part >= config.margin) for part in jnp.split(clear, [len(extension)]))
-    add = free & ~state.solved & (tree.count < config.nodes)
-    at = jnp.where(add, tree.count, config.nodes)
-    grown = tree.replace(
-        nodes=tree.nodes.at[at].set(new, mode="drop"),
-        parents=tree.parents.at[at].set(near, mode="drop"),
-        count=tree.count + add,
+    sample = jax.random.uniform(key, new.shape, new.dtype, low, high)
+    connects = number >= 0
+    tree = jnp.where(connects, 1 - search.branches.tree, workers % 2)
+    target = jnp.where(connects[:, None], new, sample)
+    parent, start = _nearest(search, tree, target)
+    away = jnp.linalg.norm(target - start, axis=-1, keepdims=True)
+    short = start + (target - start) * jnp.minimum(1.0, config.growth / jnp.maximum(away, 1e-6))
+    target = jnp.where(connects[:, None], target, short)
+    return _Branches(tree, parent, start, target, number, jnp.zeros(len(workers)))
+
+
+def _advance(cell: Workcell, config: RrtConfig, search: _Search, key: Array) -> _Search:
+    """One call of the kernel, and what follows from it."""
+    old = search.branches
+    walked, blocked, arrived = _walk(cell, old, config)
+    joined, over = arrived & (old.meets >= 0), blocked | arrived
+    share = walked / jnp.maximum(jnp.linalg.norm(old.target - old.start, axis=-1), 1e-6)
+    new = old.start + share[:, None] * (old.target - old.start)
+    good, trees = over & (walked > 0) & ~joined, jnp.arange(2)[:, None]
+    mine = good & (old.tree == trees)
+    at = search.count[:, None] + jnp.cumsum(mine, axis=1) - 1
+    at = jnp.where(mine & (at < config.capacity), at, config.capacity)
+    grown = search.replace(
+        nodes=search.nodes.at[trees, at].set(new[None], mode="drop"),
+        parents=search.parents.at[trees, at].set(old.parent[None], mode="drop"),
+        count=jnp.minimum(search.count + jnp.sum(mine, axis=1), config.capacity),
     )
-    joined &= add & (gap <= config.reach)
-    pair = jnp.where(turn == 0, jnp.stack([at, meet]), jnp.stack([meet, at]))
-    trees = jax.tree.map(lambda all_, one: all_.at[turn].set(one), state.trees, grown)
-    return _State(trees, state.solved | joined, jnp.where(joined, pair, state.join), key)
+    number = jnp.min(at, axis=0)
+    connects = good & (old.meets < 0) & (number < config.capacity)
+    onward = _next_branches(cell, grown, new, jnp.where(connects, number, -1), key, config)
+    going = old.replace(walked=walked)
+    pick = lambda a, b: jnp.where(over.reshape(-1, *[1] * (a.ndim - 1)), a, b)  # noqa: E731
+    first = jnp.argmax(joined)
+    pair = jnp.stack([old.parent[first], old.meets[first]])
+    return grown.replace(
+        branches=jax.tree.map(pick, onward, going),
+        solved=jnp.any(joined),
+        join=jnp.where(old.tree[first] == 0, pair, pair[::-1]),
+    )
+
+
+def _begin(cell: Workcell, start: Array, goal: Array, key: Array, config: RrtConfig) -> _Search:
+    """Both roots; the first worker tries the straight edge between them."""
+    nodes = jnp.zeros((2, config.capacity, start.size)).at[:, 0].set(jnp.stack([start, goal]))
+    zero, far = jnp.zeros(config.workers, int), jnp.broadcast_to(goal, (config.workers, goal.size))
+    none = _Branches(zero, zero, far, far, zero - 1, jnp.zeros(config.workers))
+    parents, count = jnp.full((2, config.capacity), -1), jnp.ones(2, int)
+    search = _Search(nodes, parents, count, none, jnp.asarray(False), jnp.zeros(2, int))
+    ahead = _next_branches(cell, search, far, zero - 1, key, config)
+    first = jnp.arange(config.workers) == 0
+    ahead = ahead.replace(
+        target=jnp.where(first[:, None], far, ahead.target), meets=jnp.where(first, 0, ahead.meets)
+    )
+    return search.replace(branches=ahead)
 
 
 @functools.partial(jax.jit, static_argnames="config")
-def _search(cell: Workcell, scenes: Scene, starts, goals, keys, config: RrtConfig) -> _State:
-    size = starts.shape[1]
-
-    def init(scene, start, goal, key):
-        nodes = jnp.zeros((2, config.nodes, size)).at[:, 0].set(jnp.stack([start, goal]))
-        tree = _Tree(nodes, jnp.full((2, config.nodes), -1), jnp.ones(2, int))
-        inside = cell.replace(scene=scene)
-        direct = edge_clearance(inside, start, goal, 4 * config.join_samples) >= config.margin
-        return _State(tree, direct, jnp.zeros(2, int), key)
+def _search(cell: Workcell, scenes: Scene, starts, goals, keys, config: RrtConfig) -> _Search:
+    def begin(start, goal, key):
+        return _begin(cell, start, goal, jax.random.fold_in(key, 0), config)
 
     def unfinished(carry):
-        turn, state = carry
-        return (turn < config.nodes) & ~jnp.all(state.solved)
+        call, searches = carry
+        return (call <= config.calls) & ~jnp.all(searches.solved)
 
-    def iterate(carry):
-        turn, state = carry
-        step = jax.vmap(
-            lambda scene, one: _iterate(cell.replace(scene=scene), config, one, turn % 2)
-        )
-        return turn + 1, step(scenes, state)
+    def advance(carry):
+        call, searches = carry
 
-    state = jax.vmap(init)(scenes, starts, goals, keys)
-    return jax.lax.while_loop(unfinished, iterate, (jnp.zeros((), int), state))[1]
+        def one(scene, search, key):
+            inside = cell.replace(scene=scene)
+            after = _advance(inside, config, search, jax.random.fold_in(key, call))
+            return jax.tree.map(lambda a, b: jnp.where(search.solved, a, b), search, after)
+
+        return call + 1, jax.vmap(one)(scenes, searches, keys)
+
+    searches = jax.vmap(begin)(starts, goals, keys)
+    return jax.lax.while_loop(unfinished, advance, (jnp.ones((), int), searches))[1]
 
 
 def _trace(nodes: np.ndarray, parents: np.ndarray, index: int) -> list[np.ndarray]:
@@ -147,13 +226,15 @@ def plan_paths(
         key: consumed.
     """
     keys = jax.random.split(key, len(starts))
-    state = jax.device_get(_search(cell, scenes, starts, goals, keys, config))
+    found = _search(cell, scenes, starts, goals, keys, config)
+    solved, join, nodes, parents = jax.device_get(
+        (found.solved, found.join, found.nodes, found.parents)
+    )
     paths: list[np.ndarray | None] = []
     for p in range(len(starts)):
-        if not state.solved[p]:
+        if not solved[p]:
             paths.append(None)
             continue
-        nodes, parents = state.trees.nodes[p], state.trees.parents[p]
-        first, second = (_trace(nodes[i], parents[i], int(state.join[p, i])) for i in (0, 1))
+        first, second = (_trace(nodes[p, i], parents[p, i], int(join[p, i])) for i in (0, 1))
         paths.append(np.stack(first[::-1] + second))
     return paths

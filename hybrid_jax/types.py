@@ -68,6 +68,8 @@ class Shapes:
     """`[n]` 1, or 0 for a slot that is empty: it is at distance `FAR`."""
     slim: int = struct.field(pytree_node=False)
     """How many there are of capsules and spheres: they come first."""
+    round: bool = struct.field(pytree_node=False, default=False)
+    """Are all of them spheres?"""
 
     @property
     def count(self) -> int:

@@ -169,7 +169,7 @@ def test_a_start_outside_the_limits_is_clipped_if_rounding_did_it_else_refused(c
     task = handling_task(cell, "block_2", poses, start)
     clipped, note, refusal = admit(cell, engine, task)
     assert refusal is None and (clipped.start <= high).all() and (clipped.start >= low).all()
-    assert note.startswith("(joint_6 starts at") and note.endswith("put back to the limit)")
+    assert note.startswith("(the start: joint_6 is at") and note.endswith("put back to the limit)")
     start[5] = high[5] + 0.1
     far = plan_motion(planner, handling_task(cell, "block_2", poses, start), key=jax.random.key(0))
     assert far.status is Status.START_INVALID and "0.1 rad outside its limits" in far.detail
@@ -249,7 +249,7 @@ def test_the_final_check_sees_a_wall(cell, planner, reaching, planned):
     reach = np.clip(q + np.linspace(0, 1, len(q))[:, None] * [1.2, 0, 0, 0, 0, 0, 0], -6, 6)
     assert "touches" in checking.collision_fault(engine, scene, reach)
     bad = replace(result.phases[0], positions=reach)
-    faults = find_faults(planner, engine, reaching, task, 0, bad)
+    faults = find_faults(reaching, engine, task, 0, bad)
     assert any("clearance falls to -" in f for f in faults), "the kernels see it as well"
     assert any("touches" in f for f in faults) and any("key pose 1 is missed" in f for f in faults)
 

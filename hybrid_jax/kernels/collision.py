@@ -77,6 +77,8 @@ def _kernel(cell: Workcell, q: Array, *, parts: str, measured: tuple[int, int] |
     groups = _groups(cell, own, parts)
     if not groups:
         return answer
+    if local_shapes(cell).round:
+        return nearest.around(rows, groups)
     if measured:
         bounds = jnp.full(rows.centre.shape[1:], FAR)
         for obstacles, pairing in groups:

@@ -151,6 +151,15 @@ def box_box(centre, rotation, half_a: Array, half_b: Array) -> Float[Array, ""]:
     return jnp.where(separation > 0, gap, separation)
 
 
+def ball_block(centre, radius, block) -> Array:
+    """Signed distance of a ball and a block (a box swept by a ball, `primitives.Blocks`)."""
+    middle = turn_back(block.rotation, sub(centre, block.centre))
+    gaps = [jnp.abs(middle[i]) - block.half[i] for i in range(3)]
+    outside = tuple(jnp.maximum(gap, 0.0) for gap in gaps)
+    inside = jnp.minimum(jnp.maximum(jnp.maximum(gaps[0], gaps[1]), gaps[2]), 0.0)
+    return jnp.sqrt(dot(outside, outside)) + inside - radius - block.radius
+
+
 def swept_capsule(centre, axis, radius, block) -> Array:
     """Signed distance of a capsule and a block (a box swept by a ball, `primitives.Blocks`).
 

@@ -107,9 +107,12 @@ def row_bounds(rows: Rows, blocks: Blocks, pairing: Pairing, best: Array) -> Arr
         found = bound(rows.centre, rows.extent, rows.radius, _column(blocks, i))
         return jnp.minimum(best, jnp.where(counts[i] > 0, found, FAR))
 
-    # several columns in one pass over the rows, without a remainder outside the loop
-    unroll = next(n for n in (4, 3, 2, 1) if count % n == 0 and (count > n or n == 1))
-    return jax.lax.fori_loop(0, count, step, best, unroll=unroll)
+    return jax.lax.fori_loop(0, count, step, best, unroll=_unroll(count))
+
+
+def _unroll(count: int) -> int:
+    """How many columns to take in one pass over the rows, without a remainder outside the loop."""
+    return next(n for n in (4, 3, 2, 1) if count % n == 0 and (count > n or n == 1))
 
 
 def _smallest(values: Array, count: int) -> tuple[Array, Array, Array]:
@@ -251,6 +254,26 @@ def tabulate(rows, whole, groups, some: slice) -> Nearest:
     found, row, _ = _smallest(best, 1)
     winner = _take(at, row)[0]
     return Nearest(found[0], row[0] + some.start, winner, jnp.full_like(found[0], FAR))
+
+
+def around(rows: Rows, groups) -> Nearest:
+    """The exact answer for a robot of balls: every pair, as cheap as a bound of one."""
+    best = jnp.full(rows.radius.shape[:-1] + rows.centre.shape[-1:], FAR)
+    state, first = (best, jnp.zeros(best.shape, jnp.int32)), 0
+    for blocks, pairing in groups:
+        counts, count = _counts(pairing), blocks.radius.shape[0]
+
+        def step(i, state, blocks=blocks, counts=counts, first=first):
+            best, at = state
+            found = distance.ball_block(rows.centre, rows.radius, _column(blocks, i))
+            here = jnp.where(counts[i] > 0, found, FAR)
+            return jnp.minimum(best, here), jnp.where(here < best, first + i, at)
+
+        state = jax.lax.fori_loop(0, count, step, state, unroll=_unroll(count))
+        first += count
+    best, at = state
+    found, row, _ = _smallest(best, 1)
+    return Nearest(found[0], row[0], _take(at, row)[0], jnp.full_like(found[0], FAR))
 
 
 def _join(parts) -> Array:

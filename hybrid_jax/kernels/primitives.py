@@ -61,6 +61,7 @@ def join(a: Shapes, b: Shapes) -> Shapes:
         radius=both(a.radius, b.radius, -1),
         on=both(a.on, b.on, -1),
         slim=a.slim + b.slim,
+        round=(a.round or not a.count) and (b.round or not b.count),
     )
 
 

@@ -73,10 +73,11 @@ def _plan_phase(
     short = smoothing.shortcut(
         cell, path, planner.config.labels.margin, planner.config.smoothing
     )
-    trajectory = time_path(planner, cell, short, np.full(len(short), Source.DRL, np.uint8))
+    marks, config = np.full(len(short), Source.DRL, np.uint8), planner.config
+    trajectory = time_path(cell, short, marks, config.smoothing, config.timing)
     if trajectory is None:
         return PlanResult(Status.SEAM_FAILED, f"phase {phase}: {Status.SEAM_FAILED.sentence}")
-    faults = find_faults(planner, engine, cell, task, phase, trajectory)
+    faults = find_faults(cell, engine, task, phase, trajectory)
     if faults:
         return PlanResult(Status.COLLISION, f"phase {phase}: {'; '.join(faults)}")
     return trajectory

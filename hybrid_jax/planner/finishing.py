@@ -7,6 +7,7 @@ import numpy as np
 
 from hybrid_jax.planner import checking, combining, smoothing, timing
 from hybrid_jax.planner.bridging import Way
+from hybrid_jax.planner.checking import PhaseScene
 from hybrid_jax.planner.combining import PhasePath, Window
 from hybrid_jax.planner.records import Planner
 from hybrid_jax.planner.routing import Leg
@@ -52,42 +53,50 @@ def _candidates(planner: Planner, cell: Workcell, phase: PhasePath):
 
 
 def time_path(
-    planner: Planner, cell: Workcell, q: np.ndarray, sources: np.ndarray
+    cell: Workcell,
+    q: np.ndarray,
+    sources: np.ndarray,
+    smoothness: smoothing.SmoothingConfig,
+    speed: timing.TimingConfig,
 ) -> Trajectory | None:
     """Smooth and time a joint path; None if it keeps no margin or no limits."""
-    config = planner.config
-    smoothed = smoothing.smooth(cell, q, sources, config.smoothing)
-    if smoothed is None:
-        return None
-    return timing.time_parameterize(cell, *smoothed, config.timing)
+    smoothed = smoothing.smooth(cell, q, sources, smoothness)
+    return smoothed and timing.time_parameterize(cell, *smoothed, speed)
 
 
-def find_faults(
-    planner: Planner,
-    engine: checking.Engine,
-    cell: Workcell,
-    task: Task,
-    number: int,
-    trajectory: Trajectory,
+def motion_faults(
+    cell: Workcell, engine: checking.Engine, scene: PhaseScene, trajectory: Trajectory
 ) -> list[str]:
-    """What the final check finds wrong with a phase.
+    """What the final check finds wrong with a trajectory in a scene.
 
     The kernels are asked as well: the engine does not see a capsule whose axis runs right through
     a thin box.
+
+    Args:
+        cell: in the same scene.
+        engine: with the thresholds.
+        scene: for the engine.
+        trajectory: to be judged.
     """
-    low, high = task.phases[number]
-    scene = phase_scene(planner.cell, task, int(segment_kinds(task)[low]))
-    faults = checking.limit_faults(planner.cell, trajectory, planner.config.check)
-    points = checking.checked_points(trajectory.positions, planner.config.check.max_step)
-    gap = smoothing.path_clearance(cell, points).min()
+    faults = checking.limit_faults(cell, trajectory, engine.config)
+    points = checking.checked_points(trajectory.positions, engine.config.max_step)
+    gap = smoothing.path_clearance(cell, points, 0.0).min()
     if gap < 0:
         faults.append(f"clearance falls to {1e3 * gap:.1f} mm")
     touched = checking.collision_fault(engine, scene, trajectory.positions)
-    pose = checking.pose_row(task.key_poses[high])
-    missed = checking.pose_fault(
-        engine, scene, trajectory.positions[-1], pose, f"key pose {high}"
-    )
-    return faults + [sentence for sentence in (touched, missed) if sentence]
+    return [*faults, touched] if touched else faults
+
+
+def find_faults(
+    cell: Workcell, engine: checking.Engine, task: Task, number: int, trajectory: Trajectory
+) -> list[str]:
+    """What the final check finds wrong with a phase of a task; the cell is in its scene."""
+    low, high = task.phases[number]
+    scene = phase_scene(cell, task, int(segment_kinds(task)[low]))
+    faults = motion_faults(cell, engine, scene, trajectory)
+    pose, end = checking.pose_row(task.key_poses[high]), trajectory.positions[-1]
+    missed = checking.pose_fault(engine, scene, end, pose, f"key pose {high}")
+    return [*faults, missed] if missed else faults
 
 
 def finish_phase(
@@ -114,10 +123,10 @@ def finish_phase(
     path = phase_path(cell, legs, ways, planner)
     fault = Fault(Status.SEAM_FAILED, Status.SEAM_FAILED.sentence)
     for q, sources in _candidates(planner, cell, path):
-        trajectory = time_path(planner, cell, q, sources)
+        trajectory = time_path(cell, q, sources, planner.config.smoothing, planner.config.timing)
         if trajectory is None:
             continue
-        faults = find_faults(planner, engine, cell, task, number, trajectory)
+        faults = find_faults(cell, engine, task, number, trajectory)
         if not faults:
             return trajectory
         fault = Fault(Status.COLLISION, "; ".join(faults))

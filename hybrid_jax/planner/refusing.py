@@ -31,26 +31,33 @@ def _bad_numbers(cell: Workcell, task: Task) -> str | None:
     return None
 
 
+def within_limits(cell: Workcell, q: np.ndarray, name: str) -> tuple[np.ndarray, str, str]:
+    """A configuration within the limits, what was changed by rounding, and what is wrong."""
+    low, high = np.asarray(cell.joint_limits).T
+    if q.shape != low.shape or not np.isfinite(q).all():
+        return q, "", f"the {name} must be {low.size} finite joint values, got {q!r}"
+    over = np.maximum(low - q, q - high)
+    worst = int(np.argmax(over))
+    if over[worst] <= 0:
+        return q, "", ""
+    sentence = (
+        f"the {name}: {cell.joint_names[worst]} is at {q[worst]:.6f}, {over[worst]:.2g} rad "
+        f"outside its limits {low[worst]:.4f} to {high[worst]:.4f}"
+    )
+    if over[worst] > ROUNDING:
+        return q, "", sentence
+    return np.clip(q, low, high), f"({sentence}: put back to the limit)", ""
+
+
 def admit(cell: Workcell, engine: Engine, task: Task) -> tuple[Task, str, PlanResult | None]:
     """The task as it can be planned, what was changed, and a refusal if it cannot be planned."""
-    low, high = np.asarray(cell.joint_limits).T
-    start = np.asarray(task.start)
-    if start.shape != low.shape or not np.isfinite(start).all():
-        detail = f"the start must be {low.size} finite joint values, got {start!r}"
-        return task, "", PlanResult(Status.START_INVALID, detail)
+    start, note, fault = within_limits(cell, np.asarray(task.start), "start")
+    if fault:
+        return task, "", PlanResult(Status.START_INVALID, fault)
     wrong = _bad_numbers(cell, task)
     if wrong:
         return task, "", PlanResult(Status.INVALID_TASK, wrong)
-    over = np.maximum(low - start, start - high)
-    worst, note = int(np.argmax(over)), ""
-    if over[worst] > 0:
-        sentence = (
-            f"{cell.joint_names[worst]} starts at {start[worst]:.6f}, {over[worst]:.2g} rad outside"
-            f" its limits {low[worst]:.4f} to {high[worst]:.4f}"
-        )
-        if over[worst] > ROUNDING:
-            return task, "", PlanResult(Status.START_INVALID, sentence)
-        start, note = np.clip(start, low, high), f"({sentence}: put back to the limit)"
+    if note:
         task = replace(task, start=start.astype(np.float32))
     engine.enter(phase_scene(cell, task, int(segment_kinds(task)[0])))
     touched = engine.collision(start)

@@ -14,6 +14,7 @@ from hybrid_jax.skills.task import Task, object_in_tool, place_pose, require_han
 from hybrid_jax.types import Scene, Workcell
 from hybrid_jax.workcell import scene as scenes
 from hybrid_jax.workcell.geometry import as_row, pose_of
+from hybrid_jax.workcell.layout import home_qpos
 
 REACHING, CARRYING, LEAVING = range(3)
 """Kinds of phases: before the object is held, while it is held, once it lies in its tray."""
@@ -72,6 +73,25 @@ def phase_scene(cell: Workcell, task: Task, kind: int) -> PhaseScene:
     if kind != CARRYING:
         return PhaseScene(poses, data.gripper.open, None, None, ())
     return PhaseScene(poses, spec.grip, task.object_name, object_in_tool(spec), task.support)
+
+
+def home_scene(cell: Workcell) -> PhaseScene:
+    """Objects and fingers as they are in the keyframe `home`; nothing is held."""
+    qpos, layout, model = home_qpos(cell.model), cell.source.layout, cell.model
+    poses = np.array([qpos[a : a + 7] for a in layout.object_qpos]).reshape(-1, 7)
+    fingers = [float(qpos[model.jnt_qposadr[j]]) for j in layout.fingers]
+    return PhaseScene(poses, fingers[0] if fingers else 0.0, None, None, ())
+
+
+def in_scene(cell: Workcell, scene: PhaseScene) -> Workcell:
+    """The cell for the kernels, in a scene that is described for the engine."""
+    if cell.source.layout.object_names:
+        cell = scenes.place_objects(cell, jnp.asarray(scene.poses, jnp.float32))
+    cell = scenes.with_opening(cell, scene.opening)
+    if scene.held is None:
+        return cell
+    held = jnp.asarray(scene.held_in_tool, jnp.float32)
+    return scenes.with_support(scenes.attach(cell, scene.held, held), scene.support)
 
 
 def inside(cell: Workcell, scenes: Scene, index: int) -> Workcell:

@@ -5,18 +5,21 @@ import functools
 from dataclasses import dataclass
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Float
 from scipy.ndimage import gaussian_filter1d
 
-from hybrid_jax.kernels.collision import clearance_up_to, edge_clearance
+from hybrid_jax.kernels.collision import clearance_up_to, points_between
 from hybrid_jax.types import Scene, Workcell
 
-CHECKED = 256
-"""Configurations that `path_clearance` takes in one call: one trace for all paths."""
+CHECKED = 128, 256
+"""Configurations that `path_clearance` takes in one call: few traces for all paths."""
 FAR_ENOUGH = 0.05
 """Clearances beyond this are not told apart [m]."""
+LEAST_GAIN = 1e-3
+"""Way that a shortcut must save [rad]."""
 
 
 @dataclass(frozen=True)
@@ -36,26 +39,32 @@ class SmoothingConfig:
     beside: int = 12
     """... but for so many half steps beside an end that has less."""
     shortcuts: int = 32
-    """Pairs tried in each of `shortcut_rounds`."""
+    """Pairs of points tried in each of `shortcut_rounds`, ..."""
     shortcut_rounds: int = 2
-    shortcut_samples: int = 24
-    """Clearance checks along a shortcut."""
+    coarse: int = 8
+    """... at first with so many checks along the edge between them; ..."""
+    promising: int = 4
+    """... so many of those that would save most ..."""
+    fine: int = 48
+    """... are checked again with so many."""
 
 
 @jax.jit
-def _batch_clearance(cell: Workcell, scene: Scene, q: Float[Array, "point n"]):
+def _batch_clearance(cell: Workcell, scene: Scene, q: Float[Array, "point n"], enough: Array):
     inside = cell.replace(scene=scene)
-    return jax.vmap(lambda one: clearance_up_to(inside, one, FAR_ENOUGH))(q)
+    return jax.vmap(lambda one: clearance_up_to(inside, one, enough))(q)
 
 
-def path_clearance(cell: Workcell, q: np.ndarray) -> np.ndarray:
-    """Clearance at each configuration `[point]`, at most `FAR_ENOUGH` [m]."""
-    out = []
-    for start in range(0, len(q), CHECKED):
-        part = q[start : start + CHECKED]
-        padded = np.concatenate([part, part[-1:].repeat(CHECKED - len(part), 0)])
-        found = _batch_clearance(cell, cell.scene, padded.astype(np.float32))
+def path_clearance(cell: Workcell, q: np.ndarray, enough: float = FAR_ENOUGH) -> np.ndarray:
+    """Clearance at each configuration `[point]`, at most `enough` [m]."""
+    out, start = [], 0
+    while start < len(q):
+        size = next((n for n in CHECKED if n >= len(q) - start), CHECKED[-1])
+        part = q[start : start + size].astype(np.float32)
+        padded = np.concatenate([part, part[-1:].repeat(size - len(part), 0)])
+        found = _batch_clearance(cell, cell.scene, padded, np.float32(enough))
         out.append(np.asarray(found)[: len(part)])
+        start += size
     return np.concatenate(out)
 
 
@@ -79,9 +88,27 @@ def densify(q: np.ndarray, spacing: float) -> np.ndarray:
 
 
 @functools.partial(jax.jit, static_argnames="samples")
-def _edges(cell, scene, starts, ends, samples):
+def _edges_are_free(cell: Workcell, scene: Scene, starts, ends, margin, samples: int) -> Array:
     inside = cell.replace(scene=scene)
-    return jax.vmap(lambda a, b: edge_clearance(inside, a, b, samples))(starts, ends)
+    check = jax.vmap(lambda q: clearance_up_to(inside, q, margin))
+    points = jax.vmap(lambda a, b: points_between(a, b, samples))(starts, ends)
+    return jnp.all(jax.vmap(check)(points) >= margin, axis=1)
+
+
+def _best_shortcut(cell, q: np.ndarray, pairs: np.ndarray, margin: float, config) -> int | None:
+    """Which pair of points saves most by the free edge between them; None if none does."""
+    starts, ends = (q[column].astype(np.float32) for column in pairs.T)
+    length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))])
+    gain = length[pairs[:, 1]] - length[pairs[:, 0]] - np.linalg.norm(ends - starts, axis=1)
+    for samples, count in ((config.coarse, len(pairs)), (config.fine, config.promising)):
+        best = np.argsort(-gain, kind="stable")[:count]
+        free = _edges_are_free(
+            cell, cell.scene, starts[best], ends[best], np.float32(margin), samples
+        )
+        gain[np.delete(np.arange(len(gain)), best)] = 0.0
+        gain[best] = np.where(free, gain[best], 0.0)
+    best = int(np.argmax(gain))
+    return best if gain[best] > LEAST_GAIN else None
 
 
 def shortcut(
@@ -94,17 +121,10 @@ def shortcut(
         if len(q) < 3:
             break
         pairs = np.sort(rng.integers(0, len(q), (config.shortcuts, 2)), axis=1)
-        starts, ends = (q[column].astype(np.float32) for column in pairs.T)
-        gap = np.asarray(_edges(cell, cell.scene, starts, ends, config.shortcut_samples))
-        length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))])
-        direct = np.linalg.norm(ends - starts, axis=1)
-        gain = length[pairs[:, 1]] - length[pairs[:, 0]] - direct
-        gain = np.where((gap >= margin) & (pairs[:, 1] > pairs[:, 0] + 1), gain, 0.0)
-        best = int(np.argmax(gain))
-        if gain[best] <= 1e-3:
-            continue
-        a, b = pairs[best]
-        q = densify(np.concatenate([q[: a + 1], q[b:]]), config.spacing)
+        best = _best_shortcut(cell, q, pairs, margin, config)
+        if best is not None:
+            a, b = pairs[best]
+            q = densify(np.concatenate([q[: a + 1], q[b:]]), config.spacing)
     return q
 
 
@@ -152,7 +172,7 @@ def smooth(
         kept = _filtered(dense, min(width, config.kept))
         path = kept + free * (_filtered(dense, width) - kept)
         path[0], path[-1] = dense[0], dense[-1]
-        gap = path_clearance(cell, densify(path, config.spacing / 2))
+        gap = path_clearance(cell, densify(path, config.spacing / 2), config.margin)
         if (gap >= _required(gap, config)).all():
             return path, sources
     return None

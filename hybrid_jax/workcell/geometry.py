@@ -127,4 +127,5 @@ def to_shapes(ones: list[Primitive], slots: tuple[int, int] = (0, 0)) -> Shapes:
         for i, p in enumerate(some, start=first):
             pose[i], half[i], radius[i], on[i] = as_row(p.pose), p.half, p.radius, 1.0
     arrays = [jnp.asarray(np.asarray(a, np.float32)) for a in (pose, half, radius, on)]
-    return Shapes(*arrays, slim=slots[0])
+    balls = not slots[1] and all(p.half[2] == 0.0 for p in slim)
+    return Shapes(*arrays, slim=slots[0], round=balls)

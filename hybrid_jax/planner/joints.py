@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: MIT
+"""From one joint configuration to another in any cell: search, shorten, smooth, time, check.
+
+The layer under the hybrid planner, without skills and agents.
+"""
+
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+from jaxtyping import Float, PRNGKeyArray
+
+from hybrid_jax.planner import smoothing
+from hybrid_jax.planner.checking import CheckConfig, Engine, PhaseScene
+from hybrid_jax.planner.finishing import motion_faults, time_path
+from hybrid_jax.planner.records import PlanResult
+from hybrid_jax.planner.refusing import within_limits
+from hybrid_jax.planner.scenes import home_scene, in_scene
+from hybrid_jax.planner.smoothing import SmoothingConfig
+from hybrid_jax.planner.timing import TimingConfig
+from hybrid_jax.rrt import RrtConfig, plan_paths
+from hybrid_jax.types import Source, Status, Workcell
+
+
+@dataclass(frozen=True)
+class JointMotionConfig:
+    """Settings of the layer."""
+
+    search: RrtConfig = RrtConfig(workers=16, margin=0.001, spread=np.inf)
+    attempts: int = 4
+    """Searches, each with a random key of its own."""
+    proof_step: float = 0.025
+    """Distance of the configurations by which a path that was found is checked again [rad]."""
+    margin: float = 0.0005
+    """Clearance that it keeps there [m]."""
+    smoothing: SmoothingConfig = SmoothingConfig(margin=0.001, shortcut_rounds=12)
+    timing: TimingConfig = TimingConfig()
+    check: CheckConfig = CheckConfig()
+
+
+def find_path(
+    cell: Workcell, start: np.ndarray, goal: np.ndarray, config: JointMotionConfig, key
+) -> np.ndarray | None:
+    """Way points `[point, joint]` from start to goal in the scene of the cell; None if none."""
+    scene = jax.tree.map(lambda a: np.asarray(a)[None], cell.scene)
+    for attempt in range(config.attempts):
+        key_search = jax.random.fold_in(key, attempt)
+        ends = start[None].astype(np.float32), goal[None].astype(np.float32)
+        path = plan_paths(cell, scene, *ends, config.search, key=key_search)[0]
+        if path is None:
+            continue
+        dense = smoothing.densify(path, config.proof_step)
+        if (smoothing.path_clearance(cell, dense, config.margin) >= config.margin).all():
+            return path
+    return None
+
+
+def _admit(engine: Engine, cell: Workcell, scene: PhaseScene, start, goal):
+    """Start and goal as they can be planned, what was changed, and a refusal or None."""
+    ends, notes = [], []
+    statuses = (("start", Status.START_INVALID), ("goal", Status.INVALID_TASK))
+    for (name, status), q in zip(statuses, (start, goal), strict=True):
+        q, note, fault = within_limits(cell, np.asarray(q), name)
+        if fault:
+            return ends, "", PlanResult(status, fault)
+        ends, notes = [*ends, q], [*notes, note]
+    engine.enter(scene)
+    for name, status, q in (
+        ("start", Status.START_INVALID, ends[0]), ("goal", Status.TASK_INFEASIBLE, ends[1]),
+    ):  # fmt: skip
+        touched = engine.collision(q)
+        if touched:
+            return ends, "", PlanResult(status, f"the {name} is not free: {touched}")
+    return ends, " ".join(filter(None, notes)), None
+
+
+def plan_joint_motion(
+    cell: Workcell,
+    start: Float[np.ndarray, "n"],
+    goal: Float[np.ndarray, "n"],
+    config: JointMotionConfig = JointMotionConfig(),
+    *,
+    key: PRNGKeyArray,
+    scene: PhaseScene | None = None,
+) -> PlanResult:
+    """A smooth, timed, checked motion from one configuration to another.
+
+    Args:
+        cell: any cell; the scene that it is in does not matter.
+        start, goal: `[joint]` [rad].
+        config: settings.
+        key: consumed.
+        scene: where objects and fingers are, what is held; as in the model's keyframe `home` if
+            None.
+
+    Returns:
+        One trajectory if the status is OK; it has passed the same final check as every plan.
+    """
+    engine, scene = Engine(cell, config.check), scene or home_scene(cell)
+    (start, goal), note, refusal = _admit(engine, cell, scene, start, goal)
+    if refusal:
+        return refusal
+    inside = in_scene(cell, scene)
+    path = find_path(inside, start, goal, config, key)
+    if path is None:
+        detail = f"no path was found from start to goal in {config.attempts} searches"
+        return PlanResult(Status.DRL_TIMEOUT, detail)
+    path = np.concatenate([start[None], path[1:-1], goal[None]])
+    short = smoothing.shortcut(inside, path, config.smoothing.margin, config.smoothing)
+    found = PlanResult(Status.SEAM_FAILED, Status.SEAM_FAILED.sentence)
+    for way in (short, path):
+        marks = np.full(len(way), Source.RRT, np.uint8)
+        trajectory = time_path(inside, way, marks, config.smoothing, config.timing)
+        if trajectory is None:
+            continue
+        faults = motion_faults(inside, engine, scene, trajectory)
+        if not faults:
+            return PlanResult(Status.OK, f"{Status.OK.sentence} {note}".strip(), [trajectory])
+        found = PlanResult(Status.COLLISION, "; ".join(faults))
+    return found
