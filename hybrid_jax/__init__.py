@@ -45,6 +45,8 @@ _EXPORTS = {
     "PlannerConfig": "planner.records",
     "plan_motion": "planner.pipeline",
     "plan_batch": "planner.pipeline",
+    "plan_joint_motion": "planner.joints",
+    "JointMotionConfig": "planner.joints",
     "open_run": "runfolder",
     "load_planner": "planner.loading",
     "execute": "simulation.execution",

@@ -6,7 +6,6 @@ over the whole batch (`kernels.batching`). They are exact: see `kernels.nearest`
 """
 
 import functools
-from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -219,22 +218,6 @@ def clearance_up_to(
     Exact, and cheaper in batches: what is certainly farther than enough is not measured again.
     """
     return _NEAR(cell, q, jnp.asarray(enough, q.dtype))
-
-
-@functools.partial(jax.jit, static_argnames=("samples", "check"))
-def edge_clearance(
-    cell: Workcell,
-    start: Float[Array, "n"],
-    end: Float[Array, "n"],
-    samples: int = 4,
-    check: Callable = closest,
-) -> Float[Array, ""]:
-    """Smallest clearance at `samples` evenly spaced points after `start` up to `end` [m].
-
-    `check` is the collision backend: `closest`, or its counterpart on MJX.
-    """
-    points = points_between(start, end, samples)
-    return jnp.min(jax.vmap(lambda q: check(cell, q)[0])(points))
 
 
 def points_between(

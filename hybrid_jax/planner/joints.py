@@ -97,9 +97,10 @@ def plan_joint_motion(
         One trajectory if the status is OK; it has passed the same final check as every plan.
     """
     engine, scene = Engine(cell, config.check), scene or home_scene(cell)
-    (start, goal), note, refusal = _admit(engine, cell, scene, start, goal)
+    ends, note, refusal = _admit(engine, cell, scene, start, goal)
     if refusal:
         return refusal
+    start, goal = ends
     inside = in_scene(cell, scene)
     path = find_path(inside, start, goal, config, key)
     if path is None:

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: MIT
+"""Motions from joint start to joint goal, and the search under them, against C MuJoCo."""
+
+import jax
+import mujoco
+import numpy as np
+import pytest
+
+from hybrid_jax.kernels.collision import clearance
+from hybrid_jax.planner import checking
+from hybrid_jax.planner.joints import JointMotionConfig, plan_joint_motion
+from hybrid_jax.planner.scenes import phase_scene
+from hybrid_jax.rrt import RrtConfig
+from hybrid_jax.skills.task import random_task
+from hybrid_jax.types import Status
+from hybrid_jax.workcell.compile import compile_workcell
+
+BALLS = """
+<mujoco><compiler angle="radian"/><size nuser_jnt="2"/><worldbody>
+  <geom name="wall" type="box" pos="{middle} 0 0.2" size="0.13 0.02 0.25" euler="0.1 0 0"/>
+  <geom name="post" type="capsule" pos="-0.4 0.1 0.3" size="0.06 0.2"/>
+  <body pos="0 0 0.2"><joint name="a" axis="0 0 1" range="-3 3" user="2 5"/>
+    <geom type="sphere" pos="0.2 0 0" size="0.05"/><geom type="sphere" pos="0.3 0 0" size="0.05"/>
+    <body pos="0.4 0 0"><joint name="b" axis="0 1 0" range="-2 2" user="2 5"/>
+      <geom type="sphere" pos="0.1 0 0" size="0.04"/><geom type="sphere" pos="0.3 0 0" size="0.04"/>
+      <site name="tool" pos="0.4 0 0"/>
+    </body></body>
+</worldbody></mujoco>"""
+START, GOAL = np.array([-1.0, 0.0]), np.array([1.0, 0.0])
+CONFIG = JointMotionConfig(
+    search=RrtConfig(workers=8, calls=100, capacity=256, margin=0.001, spread=np.inf), attempts=2
+)
+
+
+def ball_cell(middle: float):
+    """Two links before a wall; with its middle at 0.65 m the outer one alone must be lifted."""
+    model = mujoco.MjModel.from_xml_string(BALLS.format(middle=middle))
+    return compile_workcell(model, f"balls_{middle}", None)
+
+
+@pytest.fixture(scope="module")
+def balls():
+    return ball_cell(0.65)
+
+
+def touches(model, q) -> bool:
+    data = mujoco.MjData(model)
+    data.qpos[:] = q
+    mujoco.mj_forward(model, data)
+    return data.ncon > 0 and data.contact.dist.min() < 0
+
+
+def test_a_robot_of_balls_has_the_clearance_that_the_engine_sees(balls):
+    assert balls.robot.shapes.round
+    q = np.random.default_rng(0).uniform([-3, -2], [3, 2], (300, 2)).astype(np.float32)
+    gaps = np.asarray(jax.vmap(clearance, (None, 0))(balls, q))
+    assert (gaps < 0).any()
+    for row, gap in zip(q, gaps, strict=True):
+        assert touches(balls.model, row) == (gap < 0) or abs(gap) < 1e-5
+
+
+def test_a_joint_motion_goes_around_a_wall(balls):
+    result = plan_joint_motion(balls, START, GOAL, CONFIG, key=jax.random.key(0))
+    assert result.status is Status.OK
+    positions = result.phases[0].positions
+    np.testing.assert_allclose(positions[[0, -1]], [START, GOAL], atol=1e-6)
+    straight = np.linspace(START, GOAL, 200)
+    assert any(touches(balls.model, q) for q in straight)
+    assert not any(touches(balls.model, q) for q in positions)
+    assert np.abs(result.phases[0].velocities).max() <= 2.0
+
+
+def test_what_cannot_be_planned_is_named(balls):
+    inside = np.array([0.0, 0.0])
+    for start, goal, status, words in (
+        (START + [0, 9], GOAL, Status.START_INVALID, "the start: b is at"),
+        (START, GOAL + [9, 0], Status.INVALID_TASK, "the goal: a is at"),
+        (START[:1], GOAL, Status.START_INVALID, "2 finite joint values"),
+        (inside, GOAL, Status.START_INVALID, "the start is not free"),
+        (START, inside, Status.TASK_INFEASIBLE, "the goal is not free"),
+    ):
+        result = plan_joint_motion(balls, start, goal, CONFIG, key=jax.random.key(0))
+        assert result.status is status and words in result.detail and not result.phases
+
+
+def test_no_way_is_said():
+    near = ball_cell(0.43)  # in the way of the inner link as well, which cannot be lifted
+    result = plan_joint_motion(near, START, GOAL, CONFIG, key=jax.random.key(0))
+    assert result.status is Status.DRL_TIMEOUT and "no path" in result.detail
+
+
+def test_the_engine_sees_the_same_without_the_pairs_that_it_skips(cell, monkeypatch):
+    quick, rng, touched = checking.Engine(cell), np.random.default_rng(0), []
+    with monkeypatch.context() as patch:
+        patch.setattr(checking.Engine, "_skip_idle_pairs", lambda self: None)
+        plain = checking.Engine(cell)
+    home, task = np.asarray(cell.home), random_task(cell, 40_100)
+    for kind in range(3):
+        scene = phase_scene(cell, task, kind)
+        quick.enter(scene)
+        with monkeypatch.context() as patch:
+            patch.setattr(checking.Engine, "_skip_idle_pairs", lambda self: None)
+            plain.enter(scene)
+        for q in home + rng.normal(0, 0.5, (60, 7)):
+            answers = [engine.collision(q) is None for engine in (quick, plain)]
+            assert answers[0] == answers[1]
+            touched.append(not answers[0])
+    assert 10 < sum(touched) < len(touched) - 10
