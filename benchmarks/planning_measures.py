@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from hybrid_jax.kernels import dualquat as dq
+from hybrid_jax.kernels.edges import path_clearance
 from hybrid_jax.kernels.kinematics import tool_pose
 from hybrid_jax.planner.records import PlanResult
 from hybrid_jax.planner.scenes import CARRYING, inside, segment_kinds, task_scenes
-from hybrid_jax.planner.smoothing import path_clearance
 from hybrid_jax.skills.task import Task
 from hybrid_jax.types import Trajectory, Workcell
 

@@ -18,6 +18,7 @@ from jax import Array
 from jaxtyping import Float, PRNGKeyArray
 
 from hybrid_jax.kernels.collision import clearance_up_to
+from hybrid_jax.keys import split
 from hybrid_jax.types import Scene, Workcell, pytree
 
 
@@ -225,7 +226,7 @@ def plan_paths(
         config: static settings.
         key: consumed.
     """
-    keys = jax.random.split(key, len(starts))
+    keys = split(key, len(starts))
     found = _search(cell, scenes, starts, goals, keys, config)
     solved, join, nodes, parents = jax.device_get(
         (found.solved, found.join, found.nodes, found.parents)

@@ -9,7 +9,7 @@ import pytest
 from hybrid_jax.errors import InputError
 from hybrid_jax.ik import solve_ik
 from hybrid_jax.kernels.collision import clearance
-from hybrid_jax.kernels.edges import edge_is_free, motion_reach
+from hybrid_jax.kernels.edges import edge_is_free, motion_reach, path_is_free, paths_are_free
 from hybrid_jax.kernels.kinematics import tool_pose
 from hybrid_jax.kernels.primitives import robot_rows
 from hybrid_jax.workcell.load import load_workcell
@@ -53,6 +53,33 @@ def test_edges_agree_with_dense_sampling(cell):
     assert not (~np.asarray(free) & (gaps > 0.004)).any(), "what is clearly free is proven"
     assert np.asarray(free).sum() > 5
     assert (np.asarray(least)[np.asarray(free)] >= gaps[np.asarray(free)] - 1e-4).all()
+
+
+def test_a_path_is_proven_where_dense_sampling_finds_it_clear(cell):
+    low, high = np.asarray(cell.joint_limits).T
+    rng = np.random.default_rng(3)
+    gaps_of = jax.jit(jax.vmap(lambda q: clearance(cell, q)))
+    proven = 0
+    for _ in range(30):
+        path = rng.uniform(low, high) + np.cumsum(rng.normal(0, 0.1, (4, len(low))), axis=0)
+        path = np.clip(path, low, high)
+        share = np.linspace(0, 3, 601)
+        dense = np.stack([np.interp(share, range(4), column) for column in path.T], axis=1)
+        least = float(np.min(gaps_of(jnp.asarray(dense, jnp.float32))))
+        free = path_is_free(cell, path, 0.002)
+        proven += free
+        assert not free or least > 0.002, "what is proven keeps the margin"
+        assert free or least < 0.002 + 0.001 + 0.003, "what is clear is proven"
+    assert 5 < proven < 30
+
+
+def test_a_path_through_a_thin_blade_is_not_free(thin):
+    ends = np.array([[-1.0, 0.0], [1.0, 0.0]])
+    assert not path_is_free(thin, ends)
+    assert path_is_free(thin, np.array([[1.0, 0.0], [2.0, 1.0], [2.2, 1.0]]))
+    scenes = jax.tree.map(lambda a: np.stack([a] * 3), thin.scene)
+    free = paths_are_free(thin, scenes, [ends, ends[1:], np.array([[1.0, 0.0], [2.0, 0.0]])])
+    assert free.tolist() == [False, True, True]
 
 
 def test_no_point_moves_further_than_the_bound(cell):

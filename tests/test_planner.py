@@ -21,6 +21,7 @@ from hybrid_jax.errors import TaskError, UnknownNameError
 from hybrid_jax.export import to_joint_trajectory
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.collision import clearance
+from hybrid_jax.kernels.edges import path_clearance
 from hybrid_jax.planner import checking, smoothing
 from hybrid_jax.planner.bridging import bridge_gaps, rrt_bridger
 from hybrid_jax.planner.directly import joint_agent_only
@@ -304,7 +305,7 @@ def test_rrt_paths_are_free_between_their_points(cell, reaching, planner, planne
     end = planned[1].phases[0].positions[-1].astype(np.float32)
     segment = single_segment(reaching.scene, cell.home, end)
     path = planner.bridge(segment, jax.random.key(3))[0]
-    assert smoothing.path_clearance(reaching, smoothing.densify(path, 0.03)).min() > 0
+    assert path_clearance(reaching, smoothing.densify(path, 0.03)).min() > 0
     np.testing.assert_allclose(path[[0, -1]], np.stack([cell.home, end]))
 
 
@@ -323,7 +324,7 @@ def test_shortcut_never_leaves_the_margin(reaching, planned):
     margin = min(0.002, before)
     short = smoothing.shortcut(reaching, q, margin, smoothing.SmoothingConfig())
     assert np.abs(np.diff(short, axis=0)).sum() <= np.abs(np.diff(q, axis=0)).sum() + 1e-6
-    assert smoothing.path_clearance(reaching, smoothing.densify(short, 0.02)).min() > min(0, before)
+    assert path_clearance(reaching, smoothing.densify(short, 0.02)).min() > min(0, before)
 
 
 def test_export_has_the_layout_of_a_joint_trajectory(cell, planned):

@@ -14,7 +14,7 @@ from hybrid_jax.planner.loading import read_library
 from hybrid_jax.skills import mapping
 from hybrid_jax.skills.cleaning import POINTS
 from hybrid_jax.skills.costs import MAX_KEY_POSES, pad_task, segment_costs
-from hybrid_jax.skills.covering import map_segment
+from hybrid_jax.skills.covering import cut_segment, map_pieces
 from hybrid_jax.skills.distance import beta, features
 from hybrid_jax.skills.library import SkillConfig, without
 from hybrid_jax.skills.segmentation import missing_skills, optimal_plan
@@ -194,8 +194,10 @@ def test_a_skill_over_several_segments_meets_each_key_pose(cell, library):
     task = random_task(cell, 3)
     poses, _, _ = pad_task(task)
     skill = library.names.index("carry_block")
-    mapped = map_segment(library, poses, 1, 4, skill, SkillConfig(), 50)
-    assert mapped.shape == (150, 8)
+    pieces = cut_segment(library, poses, 1, 4, skill, SkillConfig())
+    mapped = map_pieces(library, pieces, SkillConfig(), 50)
+    assert mapped.shape == (3, 50, 8)
+    mapped = mapped.reshape(150, 8)
     for point, pose in ((0, 1), (49, 2), (99, 3), (149, 4)):
         same(jnp.asarray(mapped[point]), jnp.asarray(poses[pose]), atol=1e-4)
 

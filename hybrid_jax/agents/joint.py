@@ -15,6 +15,7 @@ from hybrid_jax.agents.segments import Segments, refuse_infeasible, take
 from hybrid_jax.kernels.batching import padded_chunks
 from hybrid_jax.kernels.collision import clearance
 from hybrid_jax.kernels.edges import paths_are_free
+from hybrid_jax.keys import fold_in
 from hybrid_jax.simulation.paperreach import PaperReachConfig, PaperReachWorld
 from hybrid_jax.simulation.reach import ReachConfig, ReachWorld
 from hybrid_jax.types import Workcell
@@ -235,7 +236,7 @@ def make_bridging(
         for number, each in enumerate(config.rollouts):
             missing = np.array([i for i, way in enumerate(ways) if way is None], int)
             for part, (chunk, _) in enumerate(padded_chunks(len(missing), TOGETHER)):
-                key_part = jax.random.fold_in(jax.random.fold_in(key, number), part)
+                key_part = fold_in(fold_in(key, number), part)
                 attempt(policy, segments, key_part, ways, missing[chunk], each)
         return ways
 

@@ -12,16 +12,19 @@ import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float
 
-from hybrid_jax.kernels.batching import padded_chunks
-from hybrid_jax.kernels.collision import clearance
+from hybrid_jax.kernels.collision import clearance, clearance_up_to
 from hybrid_jax.kernels.inputs import checks, configuration
 from hybrid_jax.kernels.primitives import local_shapes, row_links
 from hybrid_jax.types import Scene, Workcell
 
-PIECE = 32
-"""Way points of a path that are proven at once, ..."""
-PIECES = 4
-"""... in so many pieces of paths."""
+PIECE = 0.1
+"""A path is proven in pieces along which no point of the robot moves further than this [m], ..."""
+SPLIT = 8
+"""... each of which is split in so many at most where it comes close to something."""
+CHECKED = 32, 64, 128, 256
+"""Configurations that `path_clearance` takes in one call: few traces for all paths."""
+FAR_ENOUGH = 0.05
+"""Clearances beyond this are not told apart [m]."""
 
 
 def motion_reach(cell: Workcell) -> Float[Array, "n"]:
@@ -86,37 +89,82 @@ def edge_is_free(
 
 
 @jax.jit
-def _pieces_are_free(cell: Workcell, scenes: Scene, pieces: Array, margin: Array) -> Array:
-    def one(scene, piece):
-        inside = cell.replace(scene=scene)
-        free = jax.vmap(lambda a, b: edge_is_free(inside, a, b, margin)[0])
-        return jnp.all(free(piece[:-1], piece[1:]))
+def _reach(cell: Workcell, scene: Scene) -> Array:
+    return motion_reach(cell.replace(scene=scene))
 
-    return jax.vmap(one)(scenes, pieces)
+
+@jax.jit
+def _batch_clearance(cell: Workcell, scene: Scene, q: Float[Array, "point n"], enough: Array):
+    inside = cell.replace(scene=scene)
+    return jax.vmap(lambda one: clearance_up_to(inside, one, enough))(q)
+
+
+def path_clearance(cell: Workcell, q: np.ndarray, enough: float = FAR_ENOUGH) -> np.ndarray:
+    """Clearance at each configuration `[point]`, at most `enough` [m]."""
+    out, start = [np.zeros(0, np.float32)], 0
+    while start < len(q):
+        size = next((n for n in CHECKED if n >= len(q) - start), CHECKED[-1])
+        part = q[start : start + size].astype(np.float32)
+        padded = np.concatenate([part, part[-1:].repeat(size - len(part), 0)])
+        found = _batch_clearance(cell, cell.scene, padded, np.float32(enough))
+        out.append(np.asarray(found)[: len(part)])
+        start += size
+    return np.concatenate(out)
+
+
+def _split(q: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Edges `[edge, 2, joint]` in `counts` pieces each.
+
+    Returns:
+        The pieces, the edge that each comes from, and which of them begin inside of it.
+    """
+    edge = np.repeat(np.arange(len(q)), counts)
+    number = np.arange(len(edge)) - np.repeat(np.cumsum(counts) - counts, counts)
+    share = np.stack([number, number + 1], axis=1)[..., None] / counts[edge][:, None, None]
+    return q[edge, :1] + share * (q[edge, 1:] - q[edge, :1]), edge, number > 0
+
+
+def path_is_free(
+    cell: Workcell, q: Float[np.ndarray, "point n"], margin: float = 0.0, tolerance: float = 1e-3
+) -> bool:
+    """Is a polyline proven to keep a margin on all its edges?
+
+    The clearances at the ends of a piece prove it where together they exceed what any point of the
+    robot moves along it. Where they do not, it is split.
+
+    Args:
+        cell: in the scene of the path.
+        q: its way points; one alone counts as free.
+        margin: clearance to keep [m].
+        tolerance: a path that comes this close to the margin counts as blocked [m].
+    """
+    if len(q) < 2:
+        return True
+    reach, enough = np.asarray(_reach(cell, cell.scene), float), PIECE / 2 + margin + tolerance
+    pieces = np.stack([q[:-1], q[1:]], axis=1).astype(float)
+    moved = lambda pieces: np.abs(pieces[:, 1] - pieces[:, 0]) @ reach  # noqa: E731
+    pieces = _split(pieces, np.maximum(1, np.ceil(moved(pieces) / PIECE)).astype(int))[0]
+    ends = path_clearance(cell, np.concatenate([pieces[:, 0], pieces[-1:, 1]]), enough) - margin
+    gaps = np.stack([ends[:-1], ends[1:]], axis=1)
+    while (gaps >= tolerance).all():
+        way, sure = moved(pieces), gaps.sum(axis=1)
+        open_ = way > sure
+        if not open_.any():
+            return True
+        counts = np.clip(np.ceil(way / sure)[open_], 2, SPLIT).astype(int)
+        pieces, edge, inner = _split(pieces[open_], counts)
+        gaps = gaps[open_][edge]
+        gaps[inner, 0] = path_clearance(cell, pieces[inner, 0], enough) - margin
+        gaps[:-1, 1] = np.where(inner[1:], gaps[1:, 0], gaps[:-1, 1])
+    return False
 
 
 def paths_are_free(
     cell: Workcell, scenes: Scene, paths: list[np.ndarray], margin: float = 0.0
 ) -> np.ndarray:
-    """Which paths are proven to keep the margin on every edge `[path]`.
-
-    Args:
-        cell: robot and fixtures.
-        scenes: one a path, stacked.
-        paths: `[point, joint]` each, of any lengths; none or one point is free.
-        margin: clearance to keep [m].
-    """
-    owners, pieces = [], []
-    for owner, path in enumerate(paths):
-        for first in range(0, len(path) - 1, PIECE - 1):
-            piece = path[first : first + PIECE]
-            pieces.append(np.concatenate([piece, piece[-1:].repeat(PIECE - len(piece), axis=0)]))
-            owners.append(owner)
+    """`path_is_free` of several paths, each in its own scene, stacked: `[path]`."""
     free = np.ones(len(paths), bool)
-    for index, count in padded_chunks(len(pieces), PIECES):
-        rows = np.array([owners[i] for i in index])
-        block = np.stack([pieces[i] for i in index]).astype(np.float32)
-        scene = jax.tree.map(lambda a, rows=rows: a[rows], scenes)
-        found = np.asarray(_pieces_are_free(cell, scene, block, np.float32(margin)))
-        np.logical_and.at(free, rows[:count], found[:count])
+    for i, path in enumerate(paths):
+        scene = jax.tree.map(lambda a, i=i: np.asarray(a)[i], scenes)
+        free[i] = path_is_free(cell.replace(scene=scene), path, margin)
     return free

@@ -12,6 +12,7 @@ from hybrid_jax.agents.joint import Bridger
 from hybrid_jax.agents.segments import Segments, take
 from hybrid_jax.kernels.batching import padded_chunks
 from hybrid_jax.kernels.edges import paths_are_free
+from hybrid_jax.keys import fold_in
 from hybrid_jax.rrt import RrtConfig, plan_paths
 from hybrid_jax.types import Source, Workcell
 
@@ -34,7 +35,7 @@ def rrt_bridger(cell: Workcell, config: RrtConfig) -> Bridger:
     def bridge(segments: Segments, key: Array) -> list[np.ndarray | None]:
         found: list[np.ndarray | None] = []
         for part, (index, count) in enumerate(padded_chunks(len(segments.start), TOGETHER)):
-            some, key_part = take(segments, index), jax.random.fold_in(key, part)
+            some, key_part = take(segments, index), fold_in(key, part)
             paths = plan_paths(cell, some.scene, some.start, some.goal, config, key=key_part)
             rows = [i for i in range(count) if paths[i] is not None]
             good = [np.asarray(paths[i]) for i in rows]
@@ -64,6 +65,6 @@ def bridge_gaps(
         if method is None or not missing:
             continue
         stacked = jax.tree.map(lambda *a: np.stack(a), *[segments[i] for i in missing])
-        for i, path in zip(missing, method(stacked, jax.random.fold_in(key, number)), strict=True):
+        for i, path in zip(missing, method(stacked, fold_in(key, number)), strict=True):
             ways[i] = None if path is None else Way(path, source)
     return ways

@@ -4,7 +4,6 @@
 from dataclasses import dataclass
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from hybrid_jax.agents.switching import STEPS, Combined
@@ -109,10 +108,10 @@ def combine(cell: Workcell, phase: PhasePath, scale: float) -> Combined:
     q = np.stack([q_skill, q_drl]).astype(np.float32)
     man = np.asarray(_manipulability(cell, q.reshape(-1, q.shape[-1])))
     return Combined(
-        jnp.asarray(q),
-        jnp.asarray(np.clip(man / scale, 0, 1).reshape(2, STEPS).astype(np.float32)),
-        jnp.asarray(np.stack([~fine, available == 0]).astype(np.float32)),
-        jnp.asarray(available),
+        q,
+        np.clip(man / scale, 0, 1).reshape(2, STEPS).astype(np.float32),
+        np.stack([~fine, available == 0]).astype(np.float32),
+        available,
     )
 
 

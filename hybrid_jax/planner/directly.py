@@ -9,6 +9,7 @@ import jax
 import numpy as np
 
 from hybrid_jax.agents.segments import single_segment
+from hybrid_jax.keys import fold_in, split
 from hybrid_jax.planner import smoothing
 from hybrid_jax.planner.checking import Engine
 from hybrid_jax.planner.finishing import find_faults, time_path
@@ -31,7 +32,7 @@ def joint_agent_only(planner: Planner, task: Task, *, key) -> PlanResult:
     scenes = task_scenes(planner.cell, task)
     phases, start = [], np.asarray(task.start)
     for phase in range(len(task.phases)):
-        key_phase = jax.random.fold_in(key, phase)
+        key_phase = fold_in(key, phase)
         found = _plan_phase(
             planner, planner.bridge, engine, task, scenes, phase, start, key_phase
         )
@@ -60,7 +61,7 @@ def _plan_phase(
     planner: Planner, bridge, engine, task: Task, scenes: Scene, phase: int, start, key
 ):
     """The trajectory of one phase, or why there is none."""
-    key_ik, key_bridge = jax.random.split(key)
+    key_ik, key_bridge = split(key, 2)
     goal, low = _goal(planner, task, scenes, phase, start, key_ik), task.phases[phase][0]
     if goal is None:
         return PlanResult(Status.TASK_INFEASIBLE, f"phase {phase}: no configuration at its end")

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hybrid_jax.kernels.edges import path_clearance
 from hybrid_jax.planner import checking, combining, smoothing, timing
 from hybrid_jax.planner.bridging import Way
 from hybrid_jax.planner.checking import PhaseScene
@@ -22,6 +23,20 @@ class Fault:
 
     status: Status
     detail: str
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A phase that is to be finished."""
+
+    task: Task
+    scenes: Scene
+    """Of each unit segment of the task."""
+    number: int
+    legs: list[Leg]
+    """Of the phase."""
+    ways: dict[tuple, Way]
+    """Over the gaps of the legs, by their names."""
 
 
 def phase_path(
@@ -59,9 +74,9 @@ def time_path(
     smoothness: smoothing.SmoothingConfig,
     speed: timing.TimingConfig,
 ) -> Trajectory | None:
-    """Smooth and time a joint path; None if it keeps no margin or no limits."""
+    """Smooth and time a joint path; None if it keeps no margin."""
     smoothed = smoothing.smooth(cell, q, sources, smoothness)
-    return smoothed and timing.time_parameterize(cell, *smoothed, speed)
+    return smoothed and timing.time_parameterize(cell, [smoothed], speed)[0]
 
 
 def motion_faults(
@@ -80,7 +95,7 @@ def motion_faults(
     """
     faults = checking.limit_faults(cell, trajectory, engine.config)
     points = checking.checked_points(trajectory.positions, engine.config.max_step)
-    gap = smoothing.path_clearance(cell, points, 0.0).min()
+    gap = path_clearance(cell, points, 0.0).min()
     if gap < 0:
         faults.append(f"clearance falls to {1e3 * gap:.1f} mm")
     touched = checking.collision_fault(engine, scene, trajectory.positions)
@@ -99,37 +114,37 @@ def find_faults(
     return [*faults, missed] if missed else faults
 
 
-def finish_phase(
-    planner: Planner,
-    engine: checking.Engine,
-    task: Task,
-    scenes: Scene,
-    number: int,
-    legs: list[Leg],
-    ways: dict[tuple, Way],
-) -> Trajectory | Fault:
-    """Switch, smooth, time and check one phase.
+def finish_phases(
+    planner: Planner, engine: checking.Engine, drafts: list[Draft]
+) -> list[Trajectory | Fault]:
+    """Switch, smooth, time and check phases, of one task or of many; all are timed together.
 
     Args:
         planner: configuration and switch.
         engine: that judges at last.
-        task: for key poses and gripper.
-        scenes: of each unit segment.
-        number: of the phase.
-        legs: of the phase.
-        ways: over the gaps of the legs, by their names.
+        drafts: the phases.
     """
-    cell = inside(planner.cell, scenes, task.phases[number][0])
-    path = phase_path(cell, legs, ways, planner)
-    fault = Fault(Status.SEAM_FAILED, Status.SEAM_FAILED.sentence)
-    for q, sources in _candidates(planner, cell, path):
-        trajectory = time_path(cell, q, sources, planner.config.smoothing, planner.config.timing)
-        if trajectory is None:
-            continue
-        faults = find_faults(cell, engine, task, number, trajectory)
-        if not faults:
-            return trajectory
-        fault = Fault(Status.COLLISION, "; ".join(faults))
-    return fault
-
-
+    found: list[Trajectory | Fault] = [
+        Fault(Status.SEAM_FAILED, Status.SEAM_FAILED.sentence) for _ in drafts
+    ]
+    cells = [inside(planner.cell, d.scenes, d.task.phases[d.number][0]) for d in drafts]
+    paths = [
+        _candidates(planner, cell, phase_path(cell, d.legs, d.ways, planner))
+        for cell, d in zip(cells, drafts, strict=True)
+    ]
+    going = list(range(len(drafts)))
+    while going:
+        tried = {i: next(paths[i], None) for i in going}
+        going = [i for i in going if tried[i] is not None]
+        smooth = {i: smoothing.smooth(cells[i], *tried[i], planner.config.smoothing) for i in going}
+        kept = [i for i in going if smooth[i] is not None]
+        timed = timing.time_parameterize(
+            planner.cell, [smooth[i] for i in kept], planner.config.timing
+        )
+        for i, trajectory in zip(kept, timed, strict=True):
+            if trajectory is None:
+                continue
+            faults = find_faults(cells[i], engine, drafts[i].task, drafts[i].number, trajectory)
+            found[i] = Fault(Status.COLLISION, "; ".join(faults)) if faults else trajectory
+        going = [i for i in going if isinstance(found[i], Fault)]
+    return found

@@ -10,6 +10,8 @@ import jax
 import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
+from hybrid_jax.kernels.edges import path_is_free
+from hybrid_jax.keys import fold_in
 from hybrid_jax.planner import smoothing
 from hybrid_jax.planner.checking import CheckConfig, Engine, PhaseScene
 from hybrid_jax.planner.finishing import motion_faults, time_path
@@ -29,10 +31,10 @@ class JointMotionConfig:
     search: RrtConfig = RrtConfig(workers=16, margin=0.001, spread=np.inf)
     attempts: int = 4
     """Searches, each with a random key of its own."""
-    proof_step: float = 0.025
-    """Distance of the configurations by which a path that was found is checked again [rad]."""
-    margin: float = 0.0005
-    """Clearance that it keeps there [m]."""
+    margin: float = 0.0002
+    """Clearance that a path that was found is proven to keep on all its edges [m], ..."""
+    tolerance: float = 0.0003
+    """... with so much more where it is measured; less takes longer [m]."""
     smoothing: SmoothingConfig = SmoothingConfig(margin=0.001, shortcut_rounds=12)
     timing: TimingConfig = TimingConfig()
     check: CheckConfig = CheckConfig()
@@ -44,13 +46,12 @@ def find_path(
     """Way points `[point, joint]` from start to goal in the scene of the cell; None if none."""
     scene = jax.tree.map(lambda a: np.asarray(a)[None], cell.scene)
     for attempt in range(config.attempts):
-        key_search = jax.random.fold_in(key, attempt)
+        key_search = fold_in(key, attempt)
         ends = start[None].astype(np.float32), goal[None].astype(np.float32)
         path = plan_paths(cell, scene, *ends, config.search, key=key_search)[0]
         if path is None:
             continue
-        dense = smoothing.densify(path, config.proof_step)
-        if (smoothing.path_clearance(cell, dense, config.margin) >= config.margin).all():
+        if path_is_free(cell, path, config.margin, config.tolerance):
             return path
     return None
 

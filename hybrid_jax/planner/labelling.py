@@ -198,8 +198,9 @@ def _forwards(cell: Workcell, scenes: Scene, poses, first, found, scale, config:
 
 @functools.partial(jax.jit, static_argnames="config")
 def label_tasks(
-    cell: Workcell, scenes: Scene, poses: Array, ends: Array, scale: Array, keys, config
+    cell: Workcell, scenes: Scene, poses: Array, ends: Array, scale: Array, key, numbers, config
 ) -> Labels:
-    """`label` for several tasks: all but cell and scale have a leading axis."""
+    """`label` for several tasks: scenes, poses, ends and the tasks' numbers have a leading axis."""
     one = functools.partial(label, config=config)
+    keys = jax.vmap(jax.random.fold_in, (None, 0))(key, numbers)
     return jax.vmap(one, (None, 0, 0, 0, None, 0))(cell, scenes, poses, ends, scale, keys)

@@ -1,20 +1,28 @@
 # SPDX-License-Identifier: MIT
 """RL-LfD at work: a task and a skill library become a path of tool poses (Algorithm 2, online)."""
 
+import functools
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
+from hybrid_jax.kernels.batching import padded_chunks
 from hybrid_jax.skills.costs import SegmentCosts, pad_costs, pad_task, segment_costs
-from hybrid_jax.skills.covering import map_segment
+from hybrid_jax.skills.covering import cut_segment, map_pieces
 from hybrid_jax.skills.library import SkillConfig, SkillLibrary
 from hybrid_jax.skills.segmentation import MissingSkill, Plan, missing_skills, optimal_plan
 from hybrid_jax.skills.task import Task
 
 POINTS = 30
 """Way points of a unit segment."""
+TOGETHER = 16
+"""Tasks whose skills are judged in one call."""
+SLOTS = 8
+"""Slots of a library are judged in multiples of this: most of them are empty."""
 
 SkillChooser = Callable[[SegmentCosts], Plan]
 """Picks segments and skills from what they cost; empty if the task cannot be covered."""
@@ -37,20 +45,56 @@ class SkillPath:
     """`[segment, POINTS, 8]` tool poses of each unit segment, from key pose to key pose."""
 
 
-_costs = jax.jit(segment_costs, static_argnames="config")
+@functools.partial(jax.jit, static_argnames=("config", "slots"))
+def _costs(library: SkillLibrary, poses, carrying, config: SkillConfig, slots: int) -> SegmentCosts:
+    """Costs of tasks with as many key poses each; only the first slots of the library count."""
+    some = library.replace(
+        poses=library.poses[:slots], valid=library.valid[:slots], closed=library.closed[:slots]
+    )
+    judge = lambda p, c: segment_costs(some, p, c, jnp.asarray(poses.shape[1]), config)  # noqa: E731
+    return jax.vmap(judge)(poses, carrying)
+
+
+def _all_costs(library: SkillLibrary, tasks: list[Task], config: SkillConfig) -> list[SegmentCosts]:
+    """Costs of several tasks, padded, on the host."""
+    slots, padded = SLOTS * -(-len(library.names) // SLOTS), [pad_task(task) for task in tasks]
+    found: dict[int, SegmentCosts] = {}
+    for size in {count for *_, count in padded}:
+        rows = [i for i, (*_, count) in enumerate(padded) if count == size]
+        for index, count in padded_chunks(len(rows), TOGETHER):
+            some = [padded[rows[i]] for i in index]
+            poses, carrying = (np.stack([row[k][:size] for row in some]) for k in (0, 1))
+            costs = jax.device_get(_costs(library, poses, carrying, config, slots))
+            for i in range(count):
+                one = jax.tree.map(lambda a, i=i: a[i], costs)
+                found[rows[index[i]]] = pad_costs(one)
+    return [found[i] for i in range(len(tasks))]
+
+
+def skill_paths(
+    library: SkillLibrary, tasks: list[Task], choose: SkillChooser, config: SkillConfig
+) -> list[SkillPath]:
+    """Choose skills for tasks and map them; never uses an inadmissible skill."""
+    costs = _all_costs(library, tasks, config)
+    plans = [choose(one) for one in costs]
+    cut = functools.partial(cut_segment, library, config=config)
+    pieces = [
+        [piece for segment in sorted(plan) for piece in cut(task.key_poses, *segment)]
+        for task, plan in zip(tasks, plans, strict=True)
+    ]
+    poses = map_pieces(library, list(itertools.chain(*pieces)), config, POINTS)
+    ends, found = np.cumsum([len(p) for p in pieces]), []
+    for number, (plan, one) in enumerate(zip(plans, costs, strict=True)):
+        missing = [] if plan else missing_skills(
+            one.cost, one.nearest, int(one.count), library.names, config.tolerance
+        )  # fmt: skip
+        first = ends[number] - len(pieces[number])
+        found.append(SkillPath(plan, missing, poses[first : ends[number]]))
+    return found
 
 
 def skill_path(
     library: SkillLibrary, task: Task, choose: SkillChooser, config: SkillConfig
 ) -> SkillPath:
-    """Choose skills for a task and map them; never uses an inadmissible skill."""
-    poses, carrying, count = pad_task(task)
-    costs = pad_costs(jax.device_get(
-        _costs(library, poses[:count], carrying[:count], np.int32(count), config=config)
-    ))  # fmt: skip
-    plan = choose(costs)
-    if not plan:
-        missing = missing_skills(costs.cost, costs.nearest, count, library.names, config.tolerance)
-        return SkillPath([], missing, np.zeros((0, POINTS, 8), np.float32))
-    segments = [map_segment(library, poses, a, b, k, config, POINTS) for a, b, k in sorted(plan)]
-    return SkillPath(plan, [], np.concatenate(segments).reshape(-1, POINTS, 8))
+    """`skill_paths` of one task."""
+    return skill_paths(library, [task], choose, config)[0]

@@ -7,14 +7,14 @@ All tasks of a batch go through the stages together: labels and bridges are one 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-import jax
 from jax import Array
 
+from hybrid_jax.keys import fold_in, split
 from hybrid_jax.planner.bridging import Way, bridge_gaps, rrt_bridger
 from hybrid_jax.planner.checking import Engine
-from hybrid_jax.planner.finishing import Fault, finish_phase
+from hybrid_jax.planner.finishing import Draft, Fault, finish_phases
 from hybrid_jax.planner.harvest import gap_segment
-from hybrid_jax.planner.lfd import skill_path
+from hybrid_jax.planner.lfd import skill_paths
 from hybrid_jax.planner.records import Planner, PlanResult
 from hybrid_jax.planner.refusing import admit, why_infeasible
 from hybrid_jax.planner.routing import Leg, Routes, label_paths
@@ -71,7 +71,7 @@ def plan_batch(planner: Planner, tasks: Sequence[Task], *, key: Array) -> list[P
         tasks: each in a scene of its own.
         key: draws IK seeds and rollouts; consumed.
     """
-    key_label, key_bridge = jax.random.split(key)
+    key_label, key_bridge = split(key, 2)
     engine, config = Engine(planner.cell, planner.config.check), planner.config
     results, jobs = prepare(planner, engine, tasks, key_label)
     fallback = rrt_bridger(planner.cell, config.fallback) if config.fallback else None
@@ -82,9 +82,8 @@ def plan_batch(planner: Planner, tasks: Sequence[Task], *, key: Array) -> list[P
         going = [job for job in going if not job.done]
         if not going:
             break
-        bridge_jobs(planner, fallback, going, jax.random.fold_in(key_bridge, attempt))
-        for job in going:
-            finish_job(planner, engine, job)
+        bridge_jobs(planner, fallback, going, fold_in(key_bridge, attempt))
+        finish_jobs(planner, engine, going)
     return [jobs[i].result() if i in jobs else results[i] for i in range(len(tasks))]
 
 
@@ -92,14 +91,19 @@ def prepare(
     planner: Planner, engine: Engine, tasks: Sequence[Task], key: Array
 ) -> tuple[dict[int, PlanResult], dict[int, Job]]:
     """Answers for what cannot be planned, and jobs for the others, by the number of the task."""
-    results, jobs_of = {}, {}
+    results, jobs_of, admitted = {}, {}, {}
     for number, task in enumerate(tasks):
         task, note, refusal = admit(planner.cell, engine, task)
         if refusal:
             results[number] = refusal
-            continue
-        # Alg. 1, l. 28: call Algorithm 2 to calculate the task-space trajectory traj_LfD
-        path = skill_path(planner.library, task, planner.choose, planner.config.skills)
+        else:
+            admitted[number] = task, note
+    # Alg. 1, l. 28: call Algorithm 2 to calculate the task-space trajectory traj_LfD
+    paths = skill_paths(
+        planner.library, [task for task, _ in admitted.values()], planner.choose,
+        planner.config.skills,
+    )  # fmt: skip
+    for (number, (task, note)), path in zip(admitted.items(), paths, strict=True):
         if not path.plan:
             missing = "; ".join(str(m) for m in path.missing)
             detail = f"record a demonstration for {missing}"
@@ -114,7 +118,7 @@ def prepare(
         poses, rows = zip(*some.values(), strict=True)
         found = label_paths(
             planner.cell, [row[0] for row in rows], [row[-1] for row in rows], list(poses),
-            planner.scale, jax.random.fold_in(key, size), planner.config.labels,
+            planner.scale, fold_in(key, size), planner.config.labels,
         )  # fmt: skip
         for number, row, routes in zip(some, rows, found, strict=True):
             jobs[number] = Job(*row, routes)
@@ -150,23 +154,31 @@ def bridge_jobs(planner: Planner, fallback, jobs: list[Job], key: Array) -> None
         job.routes.forbid(leg.name)
 
 
-def finish_job(planner: Planner, engine: Engine, job: Job) -> None:
+def finish_jobs(planner: Planner, engine: Engine, jobs: list[Job]) -> None:
     """Alg. 1, l. 35-37: concatenate, let the switching policy choose; then time and check."""
-    if any(leg.has_gap and leg.name not in job.ways for leg in job.legs):
-        return
-    for number, (low, high) in enumerate(job.task.phases):
-        legs = job.legs[low:high]
-        names = tuple(leg.name for leg in legs)
-        if number in job.phases and job.phases[number][0] == names:
+    drafts: list[tuple[Job, Draft]] = []
+    for job in jobs:
+        if any(leg.has_gap and leg.name not in job.ways for leg in job.legs):
             continue
-        found = finish_phase(planner, engine, job.task, job.scenes, number, legs, job.ways)
-        if isinstance(found, Fault):
-            job.status, job.detail = found.status, f"phase {number}: {found.detail}"
-            for name in [leg.name for leg in legs if leg.has_gap] or names:
-                job.routes.forbid(name)
-            return
-        job.phases[number] = names, found
-    job.status, job.done = Status.OK, True
+        job.status, job.done = Status.OK, True
+        for number, (low, high) in enumerate(job.task.phases):
+            legs = job.legs[low:high]
+            if number not in job.phases or job.phases[number][0] != _names(legs):
+                drafts.append((job, Draft(job.task, job.scenes, number, legs, job.ways)))
+    found = finish_phases(planner, engine, [draft for _, draft in drafts])
+    for (job, draft), phase in zip(drafts, found, strict=True):
+        if not isinstance(phase, Fault):
+            job.phases[draft.number] = _names(draft.legs), phase
+            continue
+        if job.done:  # the first phase that fails is the one to name
+            job.status, job.detail = phase.status, f"phase {draft.number}: {phase.detail}"
+            job.done = False
+        for name in _names([leg for leg in draft.legs if leg.has_gap] or draft.legs):
+            job.routes.forbid(name)
+
+
+def _names(legs: list[Leg]) -> tuple:
+    return tuple(leg.name for leg in legs)
 
 
 def lfd_only(planner: Planner) -> Planner:

@@ -183,9 +183,8 @@ def label_paths(
     for index, count in padded_chunks(len(tasks), TOGETHER):
         some = jax.tree.map(lambda *a: np.stack(a), *[scenes[i] for i in index])
         ends = np.stack([np.stack([tasks[i].start, home]) for i in index])
-        keys = jax.vmap(lambda i: jax.random.fold_in(key, i))(index)
         rows = np.stack([poses[i] for i in index])
-        labels = jax.device_get(label_tasks(cell, some, rows, ends, scale, keys, config))
+        labels = jax.device_get(label_tasks(cell, some, rows, ends, scale, key, index, config))
         for i in range(count):
             one = jax.tree.map(lambda a, i=i: a[i], labels)
             found.append(Routes(one, gripper_events(tasks[index[i]]), config))

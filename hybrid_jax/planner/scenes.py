@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from hybrid_jax.planner.checking import PhaseScene
 from hybrid_jax.skills.task import Task, object_in_tool, place_pose, require_handling
-from hybrid_jax.types import Scene, Workcell
+from hybrid_jax.types import Scene, Workcell, WorkcellSource
 from hybrid_jax.workcell import scene as scenes
 from hybrid_jax.workcell.geometry import as_row, pose_of
 from hybrid_jax.workcell.layout import home_qpos
@@ -28,9 +28,14 @@ def segment_kinds(task: Task) -> np.ndarray:
 
 def placed_pose(cell: Workcell, name: str) -> np.ndarray:
     """`[7]` where an object lies once it has been let go."""
-    spec = require_handling(cell).object(name)
+    return _placed_pose(cell.source, name).copy()
+
+
+@functools.lru_cache(maxsize=256)
+def _placed_pose(source: WorkcellSource, name: str) -> np.ndarray:
+    spec = source.task.object(name)
     row = object_in_tool(spec)
-    return as_row(place_pose(cell, spec) * pose_of(row[:3], row[3:]))
+    return as_row(place_pose(source, spec) * pose_of(row[:3], row[3:]))
 
 
 @functools.partial(jax.jit, static_argnames=("name", "support"))

@@ -8,16 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Float
 from scipy.ndimage import gaussian_filter1d
 
 from hybrid_jax.kernels.collision import clearance_up_to, points_between
+from hybrid_jax.kernels.edges import path_clearance
 from hybrid_jax.types import Scene, Workcell
 
-CHECKED = 128, 256
-"""Configurations that `path_clearance` takes in one call: few traces for all paths."""
-FAR_ENOUGH = 0.05
-"""Clearances beyond this are not told apart [m]."""
 LEAST_GAIN = 1e-3
 """Way that a shortcut must save [rad]."""
 
@@ -47,25 +43,6 @@ class SmoothingConfig:
     """... so many of those that would save most ..."""
     fine: int = 48
     """... are checked again with so many."""
-
-
-@jax.jit
-def _batch_clearance(cell: Workcell, scene: Scene, q: Float[Array, "point n"], enough: Array):
-    inside = cell.replace(scene=scene)
-    return jax.vmap(lambda one: clearance_up_to(inside, one, enough))(q)
-
-
-def path_clearance(cell: Workcell, q: np.ndarray, enough: float = FAR_ENOUGH) -> np.ndarray:
-    """Clearance at each configuration `[point]`, at most `enough` [m]."""
-    out, start = [], 0
-    while start < len(q):
-        size = next((n for n in CHECKED if n >= len(q) - start), CHECKED[-1])
-        part = q[start : start + size].astype(np.float32)
-        padded = np.concatenate([part, part[-1:].repeat(size - len(part), 0)])
-        found = _batch_clearance(cell, cell.scene, padded, np.float32(enough))
-        out.append(np.asarray(found)[: len(part)])
-        start += size
-    return np.concatenate(out)
 
 
 def refine(q: np.ndarray, spacing: float) -> np.ndarray:

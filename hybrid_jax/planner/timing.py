@@ -1,20 +1,25 @@
 # SPDX-License-Identifier: MIT
-"""From a joint path to a trajectory in time (TOPP-RA, arXiv:1707.07239)."""
+"""From joint paths to trajectories in time (TOPP-RA, arXiv:1707.07239)."""
 
 from dataclasses import dataclass
 
+import jax
 import numpy as np
-import toppra
-import toppra.algorithm
-import toppra.constraint
+from scipy.interpolate import CubicSpline
 
+from hybrid_jax.kernels.batching import padded_chunks
+from hybrid_jax.kernels.pathspeed import fastest_speeds
 from hybrid_jax.types import Trajectory, Workcell
-
-toppra.setup_logging("ERROR")
 
 BENDS = 2.0
 """Between two points of a path one of which bends so many times as much as most do, TOPP-RA's grid
 has a point in the middle."""
+LEAST_GRID = 256
+"""Points of the smallest grid; twice as many, and so on, where a path has more: few traces."""
+TOGETHER = 4
+"""Paths that are timed in one call."""
+
+_speeds = jax.jit(jax.vmap(fastest_speeds, (0, 0, 0, None, None)))
 
 
 @dataclass(frozen=True)
@@ -29,45 +34,74 @@ class TimingConfig:
     """Spacing of the returned points [s]."""
 
 
+class _Path:
+    """A joint path as a spline, and the grid on which its limits are kept."""
+
+    def __init__(self, q: np.ndarray, sources: np.ndarray):
+        moved = np.concatenate([[True], np.abs(np.diff(q, axis=0)).max(axis=1) > 1e-6])
+        q, self.sources = q[moved].astype(float), sources[moved]
+        way = np.linalg.norm(np.diff(q, axis=0), axis=1)
+        self.knots = np.concatenate([[0], np.cumsum(way)])
+        self.usable = len(q) >= 3
+        if self.usable:
+            self.spline = CubicSpline(self.knots, q)
+            self.grid = _grid(self.knots, np.abs(self.spline(self.knots, 2)).max(axis=1))
+
+    def rows(self, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Slope, bend `[size, joint]` and step `[size]` on the grid; its last point is repeated."""
+        grid = np.concatenate([self.grid, self.grid[-1:].repeat(size - len(self.grid))])
+        return self.spline(grid, 1), self.spline(grid, 2), np.diff(grid, append=grid[-1])
+
+    def sample(self, squared: np.ndarray, limits, period: float) -> Trajectory | None:
+        """The motion with these squared speeds on the grid; None if it would stand still."""
+        squared = squared[: len(self.grid)].astype(float)
+        if (squared[1:-1] <= 0).any() or not np.isfinite(squared).all():
+            return None
+        times, s, speed_s, rate_s = _sample(self.grid, np.sqrt(squared), period)
+        slope, bend = self.spline(s, 1), self.spline(s, 2)
+        velocities = slope * speed_s[:, None]
+        accelerations = bend * speed_s[:, None] ** 2 + slope * rate_s[:, None]
+        # the limits hold on the grid; what exceeds them between its points slows the whole motion
+        speed, rate = limits
+        excess = np.max(np.abs(velocities) / speed), np.sqrt(np.max(np.abs(accelerations) / rate))
+        slower = max(1.0, *excess)
+        at = np.interp(s, self.knots, np.arange(len(self.knots)))
+        return Trajectory(
+            times * slower, self.spline(s), velocities / slower, accelerations / slower**2,
+            self.sources[np.round(at).astype(int)],
+        )  # fmt: skip
+
+
 def time_parameterize(
-    cell: Workcell, q: np.ndarray, sources: np.ndarray, config: TimingConfig
-) -> Trajectory | None:
-    """Fastest motion along a path under the velocity and acceleration limits; None if none.
+    cell: Workcell, paths: list[tuple[np.ndarray, np.ndarray]], config: TimingConfig
+) -> list[Trajectory | None]:
+    """Fastest motions along paths under the velocity and acceleration limits.
 
     Args:
         cell: limits.
-        q: `[point, joint]` path.
-        sources: `[point]` where each point came from.
+        paths: of each, `[point, joint]` configurations and `[point]` where they came from.
         config: shares of the limits, spacing of the result.
+
+    Returns:
+        A trajectory for each path, None where it has fewer than three different points.
     """
-    moved = np.concatenate([[True], np.abs(np.diff(q, axis=0)).max(axis=1) > 1e-6])
-    q, sources = q[moved].astype(float), sources[moved]
-    if len(q) < 3:
-        return None
-    knots = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))])
-    path = toppra.SplineInterpolator(knots, q)
-    speed = config.speed * np.asarray(cell.velocity_limits, float)
-    rate = config.acceleration * np.asarray(cell.chain.acceleration_limits, float)
-    limits = [
-        toppra.constraint.JointVelocityConstraint(np.stack([-speed, speed], 1)),
-        toppra.constraint.JointAccelerationConstraint(np.stack([-rate, rate], 1)),
-    ]
-    grid = _grid(knots, np.abs(path(knots, 2)).max(axis=1))
-    found = toppra.algorithm.TOPPRA(limits, path, gridpoints=grid).compute_parameterization(0, 0)
-    if found is None or found[1] is None or not np.isfinite(found[1]).all():
-        return None
-    times, s, speed_s, rate_s = _sample(grid, np.asarray(found[1]), config.sample_time)
-    slope, bend = path(s, 1), path(s, 2)
-    velocities = slope * speed_s[:, None]
-    accelerations = bend * speed_s[:, None] ** 2 + slope * rate_s[:, None]
-    # the limits hold on the grid; what exceeds them between its points slows the whole motion
-    slower = max(
-        1.0, np.max(np.abs(velocities) / speed), np.sqrt(np.max(np.abs(accelerations) / rate))
+    limits = (
+        config.speed * np.asarray(cell.velocity_limits, float),
+        config.acceleration * np.asarray(cell.chain.acceleration_limits, float),
     )
-    source = sources[np.round(np.interp(s, knots, np.arange(len(q)))).astype(int)]
-    return Trajectory(
-        times * slower, path(s), velocities / slower, accelerations / slower**2, source
-    )
+    splines = [_Path(q, sources) for q, sources in paths]
+    rows = [i for i, path in enumerate(splines) if path.usable]
+    found: list[Trajectory | None] = [None] * len(paths)
+    for index, count in padded_chunks(len(rows), TOGETHER):
+        some = [splines[rows[i]] for i in index]
+        size = LEAST_GRID
+        while size < max(len(path.grid) for path in some):
+            size *= 2
+        block = [np.stack(a) for a in zip(*(path.rows(size) for path in some), strict=True)]
+        squared = np.asarray(_speeds(*(a.astype(np.float32) for a in (*block, *limits))))
+        for i, path, one in zip(index[:count], some[:count], squared[:count], strict=True):
+            found[rows[i]] = path.sample(one, limits, config.sample_time)
+    return found
 
 
 def _grid(knots: np.ndarray, bend: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.skills.distance import BETAS, features
-from hybrid_jax.skills.library import SkillConfig, SkillLibrary
+from hybrid_jax.skills.library import MAX_SKILLS, SkillConfig, SkillLibrary
 from hybrid_jax.skills.task import Task
 from hybrid_jax.types import pytree
 
@@ -49,11 +49,11 @@ def pad_task(task: Task) -> tuple[np.ndarray, np.ndarray, int]:
 
 
 def pad_costs(costs: SegmentCosts) -> SegmentCosts:
-    """Costs of a task with fewer key poses, padded to `MAX_KEY_POSES`, on the host."""
+    """Costs of a task with fewer key poses or skills than there may be, padded, on the host."""
 
     def pad(values: np.ndarray, fill: float) -> np.ndarray:
-        missing = MAX_KEY_POSES - values.shape[0]
-        wide = [(0, missing)] * 2 + [(0, 0)] * (values.ndim - 2)
+        missing = [MAX_KEY_POSES - values.shape[0]] * 2 + [MAX_SKILLS - values.shape[2]]
+        wide = [(0, n) for n in missing] + [(0, 0)] * (values.ndim - 3)
         return np.pad(values, wide, constant_values=fill)
 
     inf, still = np.inf, 0.0

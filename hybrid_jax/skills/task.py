@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from hybrid_jax.errors import TaskError, WorkcellError
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.kinematics import tool_pose
-from hybrid_jax.types import Workcell
+from hybrid_jax.types import Workcell, WorkcellSource
 from hybrid_jax.workcell.description import Handling, ObjectSpec
 from hybrid_jax.workcell.geometry import as_row, pose_of
 from hybrid_jax.workcell.layout import home_qpos
@@ -83,13 +83,13 @@ def grasp_pose(spec: ObjectSpec, pose: np.ndarray) -> RigidTransform:
     return upright(pose[:3], yaw_of(pose)) * grasp
 
 
-def place_pose(cell: Workcell, spec: ObjectSpec) -> RigidTransform:
+def place_pose(source: WorkcellSource, spec: ObjectSpec) -> RigidTransform:
     """Tool pose that puts an object into its slot of its tray."""
-    task, layout = require_handling(cell), cell.source.layout
+    task, layout = source.task, source.layout
     tray = task.tray(spec.tray)
-    body = cell.model.body(tray.name)
+    body = source.model.body(tray.name)
     address = layout.object_qpos[layout.object_names.index(spec.name)]
-    height = tray.floor + task.release + home_qpos(cell.model)[address + 2]
+    height = tray.floor + task.release + home_qpos(source.model)[address + 2]
     slot = upright([*spec.slot[:2], height], spec.slot[2])
     return (
         pose_of(body.pos, body.quat)
@@ -121,7 +121,7 @@ def handling_task(
     data = require_handling(cell)
     spec = data.object(object_name)
     index = cell.source.layout.object_names.index(object_name)
-    grasp, place = grasp_pose(spec, object_poses[index]), place_pose(cell, spec)
+    grasp, place = grasp_pose(spec, object_poses[index]), place_pose(cell.source, spec)
     rows = np.stack(
         [as_row(p) for p in (grasp, _raised(grasp, data.lift), _raised(place, data.hover), place)]
     ).astype(np.float32)

@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: MIT
+"""Joint starts to joint goals: the Panda's public problems of MotionBenchMaker, against OMPL.
+
+    python -m benchmarks.motion_bench_maker --json FILE
+
+Both take turns on each problem, in the same process: our RRT-Connect with its proof, compiled, and
+OMPL's RRT-Connect with C MuJoCo as its checker. Every path of both is checked again by C MuJoCo,
+far denser. The problems are not part of the project; without them the benchmark says so.
+"""
+
+import functools
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax
+import mujoco
+import numpy as np
+import tyro
+
+import hybrid_jax as hj
+from benchmarks.mbm_cells import Problem, read_problems
+from benchmarks.ompl_rival import OmplPlanner
+from benchmarks.report import metric, write
+from hybrid_jax.planner.joints import JointMotionConfig, find_path, plan_joint_motion
+from hybrid_jax.planner.smoothing import densify
+from hybrid_jax.types import Status
+
+FOLDER = Path(__file__).resolve().parents[2] / "shared" / "data" / "mbm"
+SECONDS = 10.0
+"""Time that OMPL may take for a problem."""
+FINE = 0.005
+"""Distance of the configurations of a path that are checked again [rad]."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One problem by one method."""
+
+    scene: str
+    seconds: float
+    found: bool
+    touches: bool
+    """Does the path that was found touch something, checked densely?"""
+    length: float
+    """Of that path [rad]."""
+
+    @property
+    def solved(self) -> bool:
+        return self.found and not self.touches
+
+
+class ContactCheck:
+    """Is a configuration free, as C MuJoCo sees it?"""
+
+    def __init__(self, model: mujoco.MjModel):
+        self.model, self.data = model, mujoco.MjData(model)
+
+    def __call__(self, q: np.ndarray) -> bool:
+        self.data.qpos[:] = q
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_comPos(self.model, self.data)
+        mujoco.mj_collision(self.model, self.data)
+        return self.data.ncon == 0
+
+
+def judge(problem: Problem, path: np.ndarray | None, seconds: float) -> Row:
+    """A row of a path `[point, joint]`, or of none."""
+    if path is None:
+        return Row(problem.scene, seconds, False, False, np.nan)
+    free = ContactCheck(problem.cell.model)
+    touches = not all(map(free, densify(np.asarray(path, float), FINE)))
+    length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+    return Row(problem.scene, seconds, True, touches, length)
+
+
+def ours(problem: Problem, config: JointMotionConfig, key: jax.Array) -> Row:
+    """The search of `plan_joint_motion`, its proof and its repetitions included."""
+    began = time.perf_counter()
+    path = find_path(problem.cell, problem.start, problem.goal, config, key)
+    return judge(problem, path, time.perf_counter() - began)
+
+
+def ompl(problem: Problem) -> Row:
+    """The first path that OMPL finds."""
+    planner = OmplPlanner(*np.asarray(problem.cell.joint_limits, float).T)
+    ends = problem.start.astype(float), problem.goal.astype(float)
+    return judge(problem, *planner.solve(ContactCheck(problem.cell.model), *ends, SECONDS))
+
+
+def whole(problem: Problem, config: JointMotionConfig, key: jax.Array) -> tuple[bool, float]:
+    """Does the whole layer answer with a trajectory, and how long does it take [s]?"""
+    began = time.perf_counter()
+    result = plan_joint_motion(problem.cell, problem.start, problem.goal, config, key=key)
+    return result.status is Status.OK, time.perf_counter() - began
+
+
+def compare(problems: list[Problem]) -> tuple[dict[str, list[Row]], list[tuple[bool, float]]]:
+    """All methods on all problems; each scene's programs are compiled on its first three."""
+    table, trajectories, config = {"ours": [], "ompl": []}, [], JointMotionConfig()
+    methods = {"ours": functools.partial(ours, config=config), "ompl": lambda p, key: ompl(p)}
+    for scene in dict.fromkeys(p.scene for p in problems):
+        here = [p for p in problems if p.scene == scene]
+        for problem in here[:3]:
+            ours(problem, config, jax.random.key(0))
+            whole(problem, config, jax.random.key(0))
+        for problem in here:
+            key = jax.random.key(problem.number)
+            for name, method in methods.items():
+                table[name].append(method(problem, key=key))
+            trajectories.append(whole(problem, config, key))
+        print(f"{scene}: {len(here)} problems", flush=True)
+    return table, trajectories
+
+
+def scene_rows(table: dict[str, list[Row]]) -> list[dict]:
+    """Median times of each scene."""
+    found = []
+    for scene in dict.fromkeys(r.scene for r in table["ours"]):
+        for name, rows in table.items():
+            here = [r for r in rows if r.scene == scene]
+            times, solved = [r.seconds for r in here], sum(r.solved for r in here)
+            found.append(metric(f"mbm.{scene}_{name}", float(np.median(times)), "s", "lower",
+                                f"median; mean {np.mean(times):.3f}; {solved} of {len(here)} "
+                                "solved"))  # fmt: skip
+    return found
+
+
+def figures(table: dict[str, list[Row]], trajectories: list[tuple[bool, float]]) -> list[dict]:
+    """All figures: shares, times, lengths, and the ratios that count."""
+    found, medians = scene_rows(table), {}
+    for name, rows in table.items():
+        times = np.array([r.seconds for r in rows])
+        medians[name] = float(np.median(times))
+        touching = sum(r.touches for r in rows)
+        found += [
+            metric(f"mbm.{name}_solved", float(np.mean([r.solved for r in rows])), "1", "higher",
+                   f"{len(rows)} problems; {sum(r.found for r in rows)} paths found, {touching} "
+                   f"of them touch between the points that were checked"),
+            metric(f"mbm.{name}_seconds", medians[name], "s", "lower",
+                   f"median; mean {times.mean():.3f}, p95 {np.quantile(times, 0.95):.3f}, "
+                   f"worst {times.max():.3f}"),
+            metric(f"mbm.{name}_length", float(np.nanmedian([r.length for r in rows])), "rad",
+                   "lower", "median, not shortened"),
+        ]  # fmt: skip
+    pairs = np.array([[a.seconds, b.seconds] for a, b in zip(*table.values(), strict=True)])
+    means = pairs.mean(axis=0)
+    seconds = [t for _, t in trajectories]
+    return found + [
+        metric("mbm.trajectories", float(np.mean([ok for ok, _ in trajectories])), "1", "higher",
+               "smooth, timed, checked; share of the problems"),
+        metric("mbm.trajectory_seconds", float(np.median(seconds)), "s", "lower",
+               f"median of the whole layer; p95 {np.quantile(seconds, 0.95):.3f}"),
+        metric("mbm.solved", float(np.mean([r.solved for r in table["ours"]])), "1", "higher",
+               f"of {len(table['ours'])} problems"),
+        metric("mbm.time_vs_ompl", medians["ours"] / medians["ompl"], "1", "lower",
+               f"ratio of the medians; of the means {means[0] / means[1]:.2f}; median of the "
+               f"ratios {np.median(pairs[:, 0] / pairs[:, 1]):.2f}"),
+    ]  # fmt: skip
+
+
+def main(json: Path | None = None, folder: Path = FOLDER, every: int = 1) -> None:
+    """Print all figures.
+
+    Args:
+        json: file to write them to.
+        folder: with the problems.
+        every: take each n-th problem of a scene only.
+    """
+    hj.use_all_cores()
+    if not (folder / "panda_problems.npz").exists():
+        print(f"{folder} has no panda_problems.npz: nothing to run. The problems are not part of "
+              "the project; give their folder by --folder.")  # fmt: skip
+        return
+    write(figures(*compare(read_problems(folder, every))), json)
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

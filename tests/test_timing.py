@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: MIT
+"""Speeds along a path against the reference implementation of TOPP-RA, and against the limits."""
+
+import jax
+import numpy as np
+import pytest
+import toppra
+import toppra.algorithm
+import toppra.constraint
+
+from hybrid_jax.kernels.pathspeed import fastest_speeds
+from hybrid_jax.planner.timing import TimingConfig, time_parameterize
+
+toppra.setup_logging("ERROR")
+POINTS = 120
+
+
+def random_path(seed: int, joints: int = 4) -> toppra.SplineInterpolator:
+    """A spline through a few random configurations; some joints rest on some stretches."""
+    rng = np.random.default_rng(seed)
+    way = rng.normal(0, 1, (6, joints))
+    way[2:4, 0] = way[2, 0]
+    knots = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
+    return toppra.SplineInterpolator(knots, way)
+
+
+def duration(grid: np.ndarray, squared: np.ndarray) -> float:
+    speed = np.sqrt(squared)
+    return float(np.sum(2 * np.diff(grid) / (speed[1:] + speed[:-1])))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_speeds_are_those_of_toppra(seed):
+    path, rng = random_path(seed), np.random.default_rng(100 + seed)
+    speed, rate = rng.uniform(0.5, 2, 4), rng.uniform(0.5, 5, 4)
+    grid = np.linspace(0, path.duration, POINTS)
+    limits = [
+        toppra.constraint.JointVelocityConstraint(np.stack([-speed, speed], 1)),
+        toppra.constraint.JointAccelerationConstraint(np.stack([-rate, rate], 1)),
+    ]
+    wanted = toppra.algorithm.TOPPRA(limits, path, gridpoints=grid).compute_parameterization(0, 0)
+    padded = np.concatenate([grid, grid[-1:].repeat(8)])
+    rows = path(padded, 1), path(padded, 2), np.diff(padded, append=padded[-1]), speed, rate
+    found = np.asarray(jax.jit(fastest_speeds)(*(a.astype(np.float32) for a in rows)), float)
+    assert found.shape == padded.shape and (found[POINTS - 1 :] == 0).all(), "ends at rest"
+    found = found[:POINTS]
+    push = np.diff(found) / (2 * np.diff(grid))
+    for at in (slice(0, -1), slice(1, None)):
+        both = path(grid[at], 1) * push[:, None] + path(grid[at], 2) * found[at, None]
+        assert (np.abs(both) <= rate * 1.001).all()
+    assert (np.abs(path(grid, 1)) * np.sqrt(found)[:, None] <= speed * 1.001).all()
+    ratio = duration(grid, found) / duration(grid, np.asarray(wanted[1]) ** 2)
+    # the solver of toppra stops a little short of the optimum where limits meet
+    assert 0.99 < ratio < 1.002
+
+
+def test_paths_of_any_length_are_timed_together(cell):
+    rng, home = np.random.default_rng(0), np.asarray(cell.home, float)
+    config = TimingConfig()
+    paths = []
+    for count in (2, 3, 40, 300):
+        q = home + np.cumsum(rng.normal(0, 0.01, (count, home.size)), axis=0)
+        paths.append((q, np.arange(count) % 3))
+    found = time_parameterize(cell, paths, config)
+    assert found[0] is None, "two points make no smooth motion from rest to rest"
+    speed = config.speed * np.asarray(cell.velocity_limits)
+    rate = config.acceleration * np.asarray(cell.chain.acceleration_limits)
+    for (q, _), motion in zip(paths[1:], found[1:], strict=True):
+        assert np.allclose(motion.positions[[0, -1]], q[[0, -1]], atol=1e-6)
+        assert np.allclose(motion.velocities[[0, -1]], 0, atol=1e-5)
+        assert (np.abs(motion.velocities) <= speed * 1.0001).all()
+        assert (np.abs(motion.accelerations) <= rate * 1.0001).all()
+        alone = time_parameterize(cell, [(q, np.zeros(len(q)))], config)[0]
+        assert np.isclose(alone.times[-1], motion.times[-1], rtol=1e-5)
