@@ -10,7 +10,7 @@ far denser. The problems are not part of the project; without them the benchmark
 
 import functools
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import jax
@@ -96,13 +96,14 @@ def whole(problem: Problem, config: JointMotionConfig, key: jax.Array) -> tuple[
 
 
 def compare(problems: list[Problem]) -> tuple[dict[str, list[Row]], list[tuple[bool, float]]]:
-    """All methods on all problems; each scene's programs are compiled on its first three."""
+    """All methods on all problems; each scene's programs are compiled on its first three first."""
     table, trajectories, config = {"ours": [], "ompl": []}, [], JointMotionConfig()
     methods = {"ours": functools.partial(ours, config=config), "ompl": lambda p, key: ompl(p)}
     for scene in dict.fromkeys(p.scene for p in problems):
         here = [p for p in problems if p.scene == scene]
         for problem in here[:3]:
-            ours(problem, config, jax.random.key(0))
+            for search in dict.fromkeys(config.searches):
+                ours(problem, replace(config, searches=(search,)), jax.random.key(0))
             whole(problem, config, jax.random.key(0))
         for problem in here:
             key = jax.random.key(problem.number)

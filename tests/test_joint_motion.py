@@ -28,7 +28,7 @@ BALLS = """
 </worldbody></mujoco>"""
 START, GOAL = np.array([-1.0, 0.0]), np.array([1.0, 0.0])
 CONFIG = JointMotionConfig(
-    search=RrtConfig(workers=8, calls=100, capacity=256, margin=0.001, spread=np.inf), attempts=2
+    searches=(RrtConfig(workers=8, calls=100, capacity=256, margin=0.001, spread=np.inf),) * 2
 )
 
 

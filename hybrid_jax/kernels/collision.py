@@ -77,7 +77,7 @@ def _kernel(cell: Workcell, q: Array, *, parts: str, measured: tuple[int, int] |
     if not groups:
         return answer
     if local_shapes(cell).round:
-        return nearest.around(rows, groups)
+        return nearest.around(rows, own, groups)
     if measured:
         bounds = jnp.full(rows.centre.shape[1:], FAR)
         for obstacles, pairing in groups:

@@ -151,6 +151,12 @@ def box_box(centre, rotation, half_a: Array, half_b: Array) -> Float[Array, ""]:
     return jnp.where(separation > 0, gap, separation)
 
 
+def ball_ball(centre, radius, ball) -> Array:
+    """Signed distance of a ball and another one, which is a block without extent."""
+    away = sub(centre, ball.centre)
+    return jnp.sqrt(dot(away, away)) - radius - ball.radius
+
+
 def ball_block(centre, radius, block) -> Array:
     """Signed distance of a ball and a block (a box swept by a ball, `primitives.Blocks`)."""
     middle = turn_back(block.rotation, sub(centre, block.centre))

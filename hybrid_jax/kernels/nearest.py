@@ -256,16 +256,23 @@ def tabulate(rows, whole, groups, some: slice) -> Nearest:
     return Nearest(found[0], row[0] + some.start, winner, jnp.full_like(found[0], FAR))
 
 
-def around(rows: Rows, groups) -> Nearest:
-    """The exact answer for a robot of balls: every pair, as cheap as a bound of one."""
+def around(rows: Rows, own: Blocks, groups) -> Nearest:
+    """The exact answer for a robot of balls: every pair, as cheap as a bound of one.
+
+    Args:
+        rows: the robot's balls.
+        own: the same as blocks; where they are a group, balls meet balls.
+        groups: blocks, and which of them count for which row.
+    """
     best = jnp.full(rows.radius.shape[:-1] + rows.centre.shape[-1:], FAR)
     state, first = (best, jnp.zeros(best.shape, jnp.int32)), 0
     for blocks, pairing in groups:
         counts, count = _counts(pairing), blocks.radius.shape[0]
+        apart = distance.ball_ball if blocks is own else distance.ball_block
 
-        def step(i, state, blocks=blocks, counts=counts, first=first):
+        def step(i, state, blocks=blocks, counts=counts, first=first, apart=apart):
             best, at = state
-            found = distance.ball_block(rows.centre, rows.radius, _column(blocks, i))
+            found = apart(rows.centre, rows.radius, _column(blocks, i))
             here = jnp.where(counts[i] > 0, found, FAR)
             return jnp.minimum(best, here), jnp.where(here < best, first + i, at)
 

@@ -4,7 +4,7 @@
 The layer under the hybrid planner, without skills and agents.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import numpy as np
@@ -23,14 +23,20 @@ from hybrid_jax.planner.timing import TimingConfig
 from hybrid_jax.rrt import RrtConfig, plan_paths
 from hybrid_jax.types import Source, Status, Workcell
 
+QUICK = RrtConfig(workers=16, margin=0.001, capacity=512, calls=150)
+"""Finds most motions: few nodes, as every call of the kernel pays for the room they might need."""
+THOROUGH = replace(
+    QUICK, capacity=4096, calls=1000, samples=16, spacing=QUICK.spacing / 2, spread=np.inf
+)
+"""Everywhere, and in steps that thin obstacles seldom fall between."""
+
 
 @dataclass(frozen=True)
 class JointMotionConfig:
     """Settings of the layer."""
 
-    search: RrtConfig = RrtConfig(workers=16, margin=0.001, spread=np.inf)
-    attempts: int = 4
-    """Searches, each with a random key of its own."""
+    searches: tuple[RrtConfig, ...] = (QUICK, THOROUGH, THOROUGH, THOROUGH)
+    """Tried in turn, each with a random key of its own."""
     margin: float = 0.0002
     """Clearance that a path that was found is proven to keep on all its edges [m], ..."""
     tolerance: float = 0.0003
@@ -45,10 +51,9 @@ def find_path(
 ) -> np.ndarray | None:
     """Way points `[point, joint]` from start to goal in the scene of the cell; None if none."""
     scene = jax.tree.map(lambda a: np.asarray(a)[None], cell.scene)
-    for attempt in range(config.attempts):
-        key_search = fold_in(key, attempt)
-        ends = start[None].astype(np.float32), goal[None].astype(np.float32)
-        path = plan_paths(cell, scene, *ends, config.search, key=key_search)[0]
+    ends = start[None].astype(np.float32), goal[None].astype(np.float32)
+    for attempt, search in enumerate(config.searches):
+        path = plan_paths(cell, scene, *ends, search, key=fold_in(key, attempt))[0]
         if path is None:
             continue
         if path_is_free(cell, path, config.margin, config.tolerance):
@@ -105,7 +110,7 @@ def plan_joint_motion(
     inside = in_scene(cell, scene)
     path = find_path(inside, start, goal, config, key)
     if path is None:
-        detail = f"no path was found from start to goal in {config.attempts} searches"
+        detail = f"no path was found from start to goal in {len(config.searches)} searches"
         return PlanResult(Status.DRL_TIMEOUT, detail)
     path = np.concatenate([start[None], path[1:-1], goal[None]])
     short = smoothing.shortcut(inside, path, config.smoothing.margin, config.smoothing)
