@@ -5,7 +5,9 @@ All tasks of a batch go through the stages together: labels and bridges are one 
 """
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 from jax import Array
 
@@ -14,13 +16,16 @@ from hybrid_jax.planner.bridging import Way, bridge_gaps, rrt_bridger
 from hybrid_jax.planner.checking import Engine
 from hybrid_jax.planner.finishing import Draft, Fault, finish_phases
 from hybrid_jax.planner.harvest import gap_segment
-from hybrid_jax.planner.lfd import skill_paths
+from hybrid_jax.planner.lfd import SkillPath, skill_paths
 from hybrid_jax.planner.records import Planner, PlanResult
 from hybrid_jax.planner.refusing import admit, why_infeasible
 from hybrid_jax.planner.routing import Leg, Routes, label_paths
 from hybrid_jax.planner.scenes import task_scenes
 from hybrid_jax.skills.task import Task
 from hybrid_jax.types import Scene, Status, Trajectory
+
+PARTS, LEAST_PART = 2, 16
+"""Parts of a batch that are planned side by side, and the tasks that one must have."""
 
 
 @dataclass
@@ -66,11 +71,25 @@ def plan_motion(planner: Planner, task: Task, *, key: Array) -> PlanResult:
 def plan_batch(planner: Planner, tasks: Sequence[Task], *, key: Array) -> list[PlanResult]:
     """Plan several tasks at once.
 
+    Large batches go through the stages in parts, so that the host finishes the tasks of one while
+    the device works on those of another.
+
     Args:
         planner: cell, skills and agents.
         tasks: each in a scene of its own.
         key: draws IK seeds and rollouts; consumed.
     """
+    count = max(1, min(PARTS, len(tasks) // LEAST_PART))
+    parts = [tasks[i::count] for i in range(count)]
+    if count == 1:
+        return _plan_part(planner, tasks, key)
+    with ThreadPoolExecutor(count) as pool:
+        keys = [fold_in(key, i) for i in range(count)]
+        found = list(pool.map(partial(_plan_part, planner), parts, keys))
+    return [found[i % count][i // count] for i in range(len(tasks))]
+
+
+def _plan_part(planner: Planner, tasks: Sequence[Task], key: Array) -> list[PlanResult]:
     key_label, key_bridge = split(key, 2)
     engine, config = Engine(planner.cell, planner.config.check), planner.config
     results, jobs = prepare(planner, engine, tasks, key_label)
@@ -91,7 +110,7 @@ def prepare(
     planner: Planner, engine: Engine, tasks: Sequence[Task], key: Array
 ) -> tuple[dict[int, PlanResult], dict[int, Job]]:
     """Answers for what cannot be planned, and jobs for the others, by the number of the task."""
-    results, jobs_of, admitted = {}, {}, {}
+    results, admitted = {}, {}
     for number, task in enumerate(tasks):
         task, note, refusal = admit(planner.cell, engine, task)
         if refusal:
@@ -103,26 +122,35 @@ def prepare(
         planner.library, [task for task, _ in admitted.values()], planner.choose,
         planner.config.skills,
     )  # fmt: skip
+    covered = {}
     for (number, (task, note)), path in zip(admitted.items(), paths, strict=True):
-        if not path.plan:
+        if path.plan:
+            covered[number] = task, note, path
+        else:
             missing = "; ".join(str(m) for m in path.missing)
             detail = f"record a demonstration for {missing}"
             results[number] = PlanResult(Status.NEED_DEMO, detail)
-            continue
-        names = [planner.library.names[k] for _, _, k in path.plan]
-        jobs_of[number] = path.poses, (task, note, names, task_scenes(planner.cell, task))
-    # Alg. 1, l. 32-34: inverse kinematics; which segments are feasible (FJ) and which are not
+    return results, _label(planner, covered, key)
+
+
+def _label(
+    planner: Planner, covered: dict[int, tuple[Task, str, SkillPath]], key: Array
+) -> dict[int, Job]:
+    """Alg. 1, l. 32-34: inverse kinematics; which segments are feasible (FJ) and which are not."""
     jobs = {}
-    for size in {len(poses) for poses, _ in jobs_of.values()}:
-        some = {i: row for i, row in jobs_of.items() if len(row[0]) == size}
-        poses, rows = zip(*some.values(), strict=True)
+    for size in {len(path.poses) for *_, path in covered.values()}:
+        some = {i: row for i, row in covered.items() if len(row[-1].poses) == size}
+        tasks, notes, paths = zip(*some.values(), strict=True)
+        scenes = [task_scenes(planner.cell, task) for task in tasks]
         found = label_paths(
-            planner.cell, [row[0] for row in rows], [row[-1] for row in rows], list(poses),
+            planner.cell, list(tasks), scenes, [path.poses for path in paths],
             planner.scale, fold_in(key, size), planner.config.labels,
         )  # fmt: skip
-        for number, row, routes in zip(some, rows, found, strict=True):
-            jobs[number] = Job(*row, routes)
-    return results, jobs
+        for row in zip(some, tasks, notes, paths, scenes, found, strict=True):
+            number, task, note, path, scene, routes = row
+            names = [planner.library.names[k] for _, _, k in path.plan]
+            jobs[number] = Job(task, note, names, scene, routes)
+    return jobs
 
 
 def choose_route(planner: Planner, engine: Engine, job: Job) -> None:
