@@ -12,6 +12,7 @@ import numpy as np
 
 from hybrid_jax.agents import joint, switching, training
 from hybrid_jax.agents.segments import Segments
+from hybrid_jax.agents.switching import Combined
 from hybrid_jax.feasibility.building import build_feasibility_map
 from hybrid_jax.planner.directly import joint_agent_only
 from hybrid_jax.planner.harvest import harvest
@@ -55,36 +56,51 @@ def train_joint_agent(cell: Workcell, segments: Segments) -> joint.Bridger:
     return joint.make_bridger(cell, net, state.policy(), config)
 
 
+def switch_problems(planner: Planner, key: jax.Array) -> tuple[Combined, Combined]:
+    """Combined trajectories of training tasks and of unseen ones, stacked."""
+    found = (
+        combined_phases(planner, [random_task(planner.cell, first + i) for i in range(count)], key)
+        for first, count in ((TRAINING, SWITCH_TASKS), SWITCH_TEST)
+    )
+    training_, test = (jax.tree.map(lambda *a: jnp.stack(a), *some) for some in found)
+    return training_, test
+
+
+def optimal_returns(problems: Combined, config: switching.SwitchConfig) -> np.ndarray:
+    """Return of the best choices for each of some problems `[problem]`."""
+    each = (jax.tree.map(lambda a, i=i: a[i], problems) for i in range(len(problems.available)))
+    return np.array([switching.optimal_switching(one, config)[1] for one in each])
+
+
 def train_switch(planner: Planner, key: jax.Array) -> tuple[Callable, np.ndarray]:
     """The switching agent as a `Switcher`, and its returns over the optimum's on unseen tasks."""
     config: switching.SwitchConfig = DEFAULT.switch
-    problems = [
-        jax.tree.map(lambda *a: jnp.stack(a), *combined_phases(
-            planner, [random_task(planner.cell, first + i) for i in range(count)], key))
-        for first, count in ((TRAINING, SWITCH_TASKS), SWITCH_TEST)
-    ]  # fmt: skip
+    problems, test = switch_problems(planner, key)
     net = switching.make_net(planner.cell.home.size, config)
-    world = switching.SwitchWorld(problems[0], config)
-    policy = training.train(world, net, config.training).policy()
+    policy = training.train(
+        switching.SwitchWorld(problems, config), net, config.training
+    ).policy()
     choose = jax.jit(functools.partial(switching.choose, net, config=config))
-    reached = np.asarray(choose(policy, problems[1])[1])
-    each = [jax.tree.map(lambda a, i=i: a[i], problems[1]) for i in range(len(reached))]
-    best = np.array([switching.optimal_switching(one, config)[1] for one in each])
-    return switching.make_switcher(net, policy, config), reached / best
+    reached = np.asarray(choose(policy, test)[1]) / optimal_returns(test, config)
+    return switching.make_switcher(net, policy, config), reached
 
 
-def learn(cell: Workcell) -> Learned:
-    """Train both agents on tasks that no test uses."""
-    began, library, preset = time.perf_counter(), read_library(), DEFAULT.planner
+def learn_planner(cell: Workcell) -> Planner:
+    """Preset `default`'s planner with a joint agent that is trained on tasks that no test uses."""
+    library, preset = read_library(), DEFAULT.planner
     # the scale is drawn from random configurations: any grid will do
     scale = float(build_feasibility_map(cell, SMOKE.map).manipulability_scale)
     segments = harvest(
         cell, library, optimal_chooser, preset.skills, preset.labels, scale, seed=0,
         tasks=range(TRAINING, TRAINING + TRAINING_TASKS), progress=Progress("collect", "tasks"),
     )  # fmt: skip
-    bridge = train_joint_agent(cell, segments)
-    switch = optimal_switcher(DEFAULT.switch)
-    planner = Planner(cell, library, optimal_chooser, bridge, switch, scale, preset)
+    bridge, switch = train_joint_agent(cell, segments), optimal_switcher(DEFAULT.switch)
+    return Planner(cell, library, optimal_chooser, bridge, switch, scale, preset)
+
+
+def learn(cell: Workcell) -> Learned:
+    """Train both agents."""
+    began, planner = time.perf_counter(), learn_planner(cell)
     ppo_switch, optimality = train_switch(planner, jax.random.key(0))
     return Learned(planner, ppo_switch, optimality, time.perf_counter() - began)
 

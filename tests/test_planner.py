@@ -28,7 +28,7 @@ from hybrid_jax.planner.directly import joint_agent_only
 from hybrid_jax.planner.finishing import find_faults
 from hybrid_jax.planner.lfd import optimal_chooser
 from hybrid_jax.planner.loading import optimal_switcher, read_library
-from hybrid_jax.planner.pipeline import lfd_only, plan_batch, plan_motion
+from hybrid_jax.planner.pipeline import lfd_only, plan_batch, plan_motion, prepare
 from hybrid_jax.planner.records import Planner
 from hybrid_jax.planner.refusing import admit
 from hybrid_jax.planner.scenes import CARRYING, REACHING, inside, phase_scene, task_scenes
@@ -337,6 +337,32 @@ def test_export_has_the_layout_of_a_joint_trajectory(cell, planned):
     assert {p["source"] for p in out["parts"]} == {"LfD", "DRL"}
     assert out["parts"][-1]["last"] == len(out["points"]) - 1
     assert [g["command"] for g in out["gripper"]] == ["open", "close", "open", "open"]
+
+
+def test_a_key_pose_on_the_way_must_be_passed(cell, planned):
+    task, plan = planned
+    engine = checking.Engine(cell)
+    scene = phase_scene(cell, task, CARRYING)
+    path, lifted = plan.phases[1].positions, checking.pose_row(task.key_poses[2])
+    assert checking.passing_fault(engine, scene, path, lifted, "it") is None
+    beside, turned = lifted + [0, 0, 0.05, 0, 0, 0, 0], lifted.copy()
+    turned[3:] = dq.mul(dq.from_parts(np.zeros(3), lifted[3:]),
+                        dq.from_parts(np.zeros(3), np.array([0.98, 0, 0, 0.199])))[:4]  # fmt: skip
+    assert "it is missed by" in checking.passing_fault(engine, scene, path, beside, "it")
+    assert "deg" in checking.passing_fault(engine, scene, path, turned, "it")
+
+
+def test_more_skill_plans_never_leave_more_infeasible_way_points(cell, planner):
+    engine, fewer = checking.Engine(cell), 0
+    for number in range(50, 56):
+        task, costs = random_task(cell, number), []
+        for plans in (1, 4):
+            several = replace(planner, config=replace(planner.config, plans=plans))
+            _, jobs = prepare(several, engine, [task], jax.random.key(0))
+            costs.append(jobs[0].routes.least_cost())
+        assert costs[1] <= costs[0]
+        fewer += costs[1] < costs[0]
+    assert fewer, "one of the tasks has a better plan than the cheapest"
 
 
 def test_task_files_are_checked(cell, tmp_path):

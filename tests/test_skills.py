@@ -17,7 +17,7 @@ from hybrid_jax.skills.costs import MAX_KEY_POSES, pad_task, segment_costs
 from hybrid_jax.skills.covering import cut_segment, map_pieces
 from hybrid_jax.skills.distance import beta, features
 from hybrid_jax.skills.library import SkillConfig, without
-from hybrid_jax.skills.segmentation import missing_skills, optimal_plan
+from hybrid_jax.skills.segmentation import best_plans, missing_skills, optimal_plan
 from hybrid_jax.skills.task import random_task
 
 
@@ -188,6 +188,26 @@ def test_random_tasks_are_covered_and_missing_demonstrations_are_named(cell, lib
         missing = missing_skills(less.cost, less.nearest, count, library.names, tolerance)
         assert [(m.start, m.end) for m in missing] == [(2, 3)]
         assert missing[0].distance > tolerance
+
+
+def test_best_plans_are_those_of_brute_force():
+    rng = np.random.default_rng(0)
+    for count in (2, 3, 5):
+        cost = rng.uniform(0, 1, (count, count, 3))
+        cost[rng.uniform(size=cost.shape) < 0.4] = np.inf
+        every = []
+        for cuts in itertools.product((False, True), repeat=count - 2):
+            stops = [0, *(i + 1 for i, cut in enumerate(cuts) if cut), count - 1]
+            spans = list(zip(stops[:-1], stops[1:], strict=True))
+            for skills in itertools.product(range(3), repeat=len(spans)):
+                total = sum(cost[a, b, k] for (a, b), k in zip(spans, skills, strict=True))
+                if np.isfinite(total):
+                    every.append(total)
+        found = best_plans(cost, count, 4)
+        totals = [sum(cost[step] for step in plan) for plan in found]
+        np.testing.assert_allclose(totals, sorted(every)[:4])
+        if found:
+            assert found[0] == optimal_plan(cost, count)[0]
 
 
 def test_a_skill_over_several_segments_meets_each_key_pose(cell, library):

@@ -72,3 +72,25 @@ def test_paths_of_any_length_are_timed_together(cell):
         assert (np.abs(motion.accelerations) <= rate * 1.0001).all()
         alone = time_parameterize(cell, [(q, np.zeros(len(q)))], config)[0]
         assert np.isclose(alone.times[-1], motion.times[-1], rtol=1e-5)
+
+
+@pytest.mark.parametrize("jerk", [10.0, 30.0])
+def test_a_limit_of_the_jerk_is_kept_at_little_cost(cell, jerk):
+    home = np.asarray(cell.home, float)
+    share = np.linspace(0, 1, 80)[:, None]
+    q = home + 0.4 * np.sin(4 * share + np.arange(home.size)) - 0.4 * np.sin(np.arange(home.size))
+    free, kept = (
+        time_parameterize(cell, [(q, np.zeros(80, int))], TimingConfig(jerk=limit))[0]
+        for limit in (None, jerk)
+    )
+    found = np.abs(np.diff(kept.positions, 3, axis=0)).max() / (kept.times[1] - kept.times[0]) ** 3
+    assert found <= jerk * 1.1
+    before = np.abs(np.diff(free.positions, 3, axis=0)).max() / (free.times[1] - free.times[0]) ** 3
+    assert before > 3 * jerk, "the limit asks for something"
+    # a motion that is only slowed down lasts the cube root of the excess times as long
+    slowed = free.times[-1] * np.cbrt(before / jerk)
+    assert free.times[-1] < kept.times[-1] < 0.8 * slowed
+    assert np.allclose(kept.positions[[0, -1]], q[[0, -1]], atol=1e-6)
+    # the path itself is not left
+    for point in kept.positions[:: len(kept.positions) // 10]:
+        assert np.abs(q - point).max(axis=1).min() < 0.03

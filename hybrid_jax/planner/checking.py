@@ -31,6 +31,10 @@ class CheckConfig:
     """Of a key pose [m], ..."""
     rotation_tolerance: float = 0.0175
     """... [rad] (1 deg)."""
+    passing_position: float = 0.01
+    """Of a key pose that a trajectory passes without a stop [m], ..."""
+    passing_rotation: float = 0.087
+    """... [rad] (5 deg): smoothing rounds the corner."""
     slack: float = 1.01
     """Factor on the velocity and acceleration limits."""
 
@@ -188,6 +192,11 @@ class Engine:
         other = b if carried[0] else a
         return not (self.robot[other] or self._body(other) in self.scene.support)
 
+    def position(self, q: np.ndarray) -> np.ndarray:
+        """Of the tool [m]."""
+        self.place(q)
+        return self.data.site_xpos[self.layout.tool_site].copy()
+
     def tool(self, q: np.ndarray) -> tuple[np.ndarray, Rotation]:
         """Position [m] and rotation of the tool."""
         self.place(q)
@@ -222,8 +231,38 @@ def pose_fault(
     engine.enter(scene)
     position, turn = engine.tool(q)
     away = float(np.linalg.norm(position - pose[:3]))
-    wanted = Rotation.from_quat(pose[3:], scalar_first=True)
-    turned = float((turn.inv() * wanted).magnitude())
-    if away <= engine.config.position_tolerance and turned <= engine.config.rotation_tolerance:
+    config = engine.config
+    return _missed(
+        name, away, _angle(turn, pose), config.position_tolerance, config.rotation_tolerance
+    )
+
+
+def passing_fault(
+    engine: Engine, scene: PhaseScene, positions: np.ndarray, pose: np.ndarray, name: str
+) -> str | None:
+    """A sentence if a joint path `[point, joint]` does not pass a pose `[7]`; else None."""
+    engine.enter(scene)
+    path = checked_points(positions, engine.config.max_step)
+    tools = np.array([engine.position(q) for q in path])
+    # nearest places on the straight lines between the tool's positions
+    way = np.diff(tools, axis=0)
+    along = np.sum((pose[:3] - tools[:-1]) * way, axis=1)
+    share = np.clip(along / np.maximum(np.sum(way**2, axis=1), 1e-12), 0, 1)[:, None]
+    away = np.linalg.norm(tools[:-1] + share * way - pose[:3], axis=1)
+    at = int(np.argmin(away))
+    _, turn = engine.tool(path[at] + share[at] * (path[at + 1] - path[at]))
+    config = engine.config
+    return _missed(
+        name, float(away[at]), _angle(turn, pose), config.passing_position, config.passing_rotation
+    )
+
+
+def _angle(turn: Rotation, pose: np.ndarray) -> float:
+    """Between a rotation and that of a pose `[7]` [rad]."""
+    return float((turn.inv() * Rotation.from_quat(pose[3:], scalar_first=True)).magnitude())
+
+
+def _missed(name: str, away: float, turned: float, most: float, most_turned: float) -> str | None:
+    if away <= most and turned <= most_turned:
         return None
     return f"{name} is missed by {1e3 * away:.1f} mm and {np.degrees(turned):.2f} deg"

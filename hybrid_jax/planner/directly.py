@@ -78,7 +78,7 @@ def _plan_phase(
     trajectory = time_path(cell, short, marks, config.smoothing, config.timing)
     if trajectory is None:
         return PlanResult(Status.SEAM_FAILED, f"phase {phase}: {Status.SEAM_FAILED.sentence}")
-    faults = find_faults(cell, engine, task, phase, trajectory)
+    faults = find_faults(cell, engine, task, phase, trajectory, passing=False)
     if faults:
         return PlanResult(Status.COLLISION, f"phase {phase}: {'; '.join(faults)}")
     return trajectory

@@ -103,15 +103,32 @@ def motion_faults(
 
 
 def find_faults(
-    cell: Workcell, engine: checking.Engine, task: Task, number: int, trajectory: Trajectory
+    cell: Workcell,
+    engine: checking.Engine,
+    task: Task,
+    number: int,
+    trajectory: Trajectory,
+    passing: bool = True,
 ) -> list[str]:
-    """What the final check finds wrong with a phase of a task; the cell is in its scene."""
+    """What the final check finds wrong with a phase of a task; the cell is in its scene.
+
+    Args:
+        cell, engine: that see it.
+        task, number: what the phase is to do.
+        trajectory: how it does it.
+        passing: must it pass the key poses between its start and its end?
+    """
     low, high = task.phases[number]
     scene = phase_scene(cell, task, int(segment_kinds(task)[low]))
     faults = motion_faults(cell, engine, scene, trajectory)
-    pose, end = checking.pose_row(task.key_poses[high]), trajectory.positions[-1]
-    missed = checking.pose_fault(engine, scene, end, pose, f"key pose {high}")
-    return [*faults, missed] if missed else faults
+    rows = {k: checking.pose_row(task.key_poses[k]) for k in range(low + 1, high + 1)}
+    path = trajectory.positions
+    missed = [
+        checking.passing_fault(engine, scene, path, rows[k], f"key pose {k}")
+        for k in range(low + 1, high) if passing
+    ]  # fmt: skip
+    missed.append(checking.pose_fault(engine, scene, path[-1], rows[high], f"key pose {high}"))
+    return faults + [fault for fault in missed if fault]
 
 
 def finish_phases(

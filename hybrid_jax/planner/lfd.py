@@ -14,7 +14,13 @@ from hybrid_jax.kernels.batching import padded_chunks
 from hybrid_jax.skills.costs import SegmentCosts, pad_costs, pad_task, segment_costs
 from hybrid_jax.skills.covering import cut_segment, map_pieces
 from hybrid_jax.skills.library import SkillConfig, SkillLibrary
-from hybrid_jax.skills.segmentation import MissingSkill, Plan, missing_skills, optimal_plan
+from hybrid_jax.skills.segmentation import (
+    MissingSkill,
+    Plan,
+    best_plans,
+    missing_skills,
+    optimal_plan,
+)
 from hybrid_jax.skills.task import Task
 
 POINTS = 30
@@ -72,29 +78,52 @@ def _all_costs(library: SkillLibrary, tasks: list[Task], config: SkillConfig) ->
 
 
 def skill_paths(
-    library: SkillLibrary, tasks: list[Task], choose: SkillChooser, config: SkillConfig
-) -> list[SkillPath]:
-    """Choose skills for tasks and map them; never uses an inadmissible skill."""
+    library: SkillLibrary,
+    tasks: list[Task],
+    choose: SkillChooser,
+    config: SkillConfig,
+    plans: int = 1,
+) -> list[list[SkillPath]]:
+    """Choose skills for tasks and map them; never uses an inadmissible skill.
+
+    Args:
+        library, tasks: what there is, and what is to be done.
+        choose: its plan comes first.
+        config: how skills are judged and mapped.
+        plans: of each task, as far as there are so many; the others are the cheapest.
+
+    Returns:
+        Of each task at least one path, with an empty plan where a demonstration is missing.
+    """
     costs = _all_costs(library, tasks, config)
-    plans = [choose(one) for one in costs]
-    cut = functools.partial(cut_segment, library, config=config)
+    chosen = [_plans(one, choose, plans) for one in costs]
     pieces = [
-        [piece for segment in sorted(plan) for piece in cut(task.key_poses, *segment)]
-        for task, plan in zip(tasks, plans, strict=True)
-    ]
+        [piece for a, b, k in sorted(plan)
+         for piece in cut_segment(library, task.key_poses, a, b, k, config)]
+        for task, some in zip(tasks, chosen, strict=True) for plan in some
+    ]  # fmt: skip
     poses = map_pieces(library, list(itertools.chain(*pieces)), config, POINTS)
-    ends, found = np.cumsum([len(p) for p in pieces]), []
-    for number, (plan, one) in enumerate(zip(plans, costs, strict=True)):
-        missing = [] if plan else missing_skills(
+    each = iter(np.split(poses, np.cumsum([len(p) for p in pieces])[:-1]))
+    found = []
+    for one, some in zip(costs, chosen, strict=True):
+        missing = [] if some[0] else missing_skills(
             one.cost, one.nearest, int(one.count), library.names, config.tolerance
         )  # fmt: skip
-        first = ends[number] - len(pieces[number])
-        found.append(SkillPath(plan, missing, poses[first : ends[number]]))
+        found.append([SkillPath(plan, missing, next(each)) for plan in some])
     return found
+
+
+def _plans(costs: SegmentCosts, choose: SkillChooser, count: int) -> list[Plan]:
+    """The chosen plan, and the cheapest others up to a number."""
+    first = choose(costs)
+    if count == 1 or not first:
+        return [first]
+    others = best_plans(costs.cost, int(costs.count), count)
+    return [first, *(plan for plan in others if plan != sorted(first))][:count]
 
 
 def skill_path(
     library: SkillLibrary, task: Task, choose: SkillChooser, config: SkillConfig
 ) -> SkillPath:
-    """`skill_paths` of one task."""
-    return skill_paths(library, [task], choose, config)[0]
+    """`skill_paths` of one task and one plan."""
+    return skill_paths(library, [task], choose, config)[0][0]

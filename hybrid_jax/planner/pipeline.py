@@ -118,38 +118,43 @@ def prepare(
         else:
             admitted[number] = task, note
     # Alg. 1, l. 28: call Algorithm 2 to calculate the task-space trajectory traj_LfD
-    paths = skill_paths(
+    found = skill_paths(
         planner.library, [task for task, _ in admitted.values()], planner.choose,
-        planner.config.skills,
+        planner.config.skills, planner.config.plans,
     )  # fmt: skip
-    covered = {}
-    for (number, (task, note)), path in zip(admitted.items(), paths, strict=True):
-        if path.plan:
-            covered[number] = task, note, path
+    covered = []
+    for (number, (task, note)), paths in zip(admitted.items(), found, strict=True):
+        if paths[0].plan:
+            covered += [(number, task, note, path) for path in paths]
         else:
-            missing = "; ".join(str(m) for m in path.missing)
+            missing = "; ".join(str(m) for m in paths[0].missing)
             detail = f"record a demonstration for {missing}"
             results[number] = PlanResult(Status.NEED_DEMO, detail)
     return results, _label(planner, covered, key)
 
 
 def _label(
-    planner: Planner, covered: dict[int, tuple[Task, str, SkillPath]], key: Array
+    planner: Planner, covered: list[tuple[int, Task, str, SkillPath]], key: Array
 ) -> dict[int, Job]:
-    """Alg. 1, l. 32-34: inverse kinematics; which segments are feasible (FJ) and which are not."""
-    jobs = {}
-    for size in {len(path.poses) for *_, path in covered.values()}:
-        some = {i: row for i, row in covered.items() if len(row[-1].poses) == size}
-        tasks, notes, paths = zip(*some.values(), strict=True)
+    """Alg. 1, l. 32-34: inverse kinematics; which segments are feasible (FJ) and which are not.
+
+    Of several plans of a task, the one with the fewest infeasible way points is kept.
+    """
+    jobs: dict[int, Job] = {}
+    for size in {len(path.poses) for *_, path in covered}:
+        numbers, tasks, notes, paths = zip(
+            *(row for row in covered if len(row[-1].poses) == size), strict=True
+        )
         scenes = [task_scenes(planner.cell, task) for task in tasks]
         found = label_paths(
             planner.cell, list(tasks), scenes, [path.poses for path in paths],
             planner.scale, fold_in(key, size), planner.config.labels,
         )  # fmt: skip
-        for row in zip(some, tasks, notes, paths, scenes, found, strict=True):
+        for row in zip(numbers, tasks, notes, paths, scenes, found, strict=True):
             number, task, note, path, scene, routes = row
-            names = [planner.library.names[k] for _, _, k in path.plan]
-            jobs[number] = Job(task, note, names, scene, routes)
+            if number not in jobs or routes.least_cost() < jobs[number].routes.least_cost():
+                names = [planner.library.names[k] for _, _, k in path.plan]
+                jobs[number] = Job(task, note, names, scene, routes)
     return jobs
 
 

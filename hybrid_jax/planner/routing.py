@@ -121,14 +121,23 @@ class Routes:
             at = before
         return names[::-1]
 
+    def _least(self) -> list[float]:
+        """Cost of the cheapest way to any candidate of each key pose; inf where there is none."""
+        value = np.where(self.labels.usable[0], 0.0, np.inf)
+        found = [float(value.min())]
+        for cost in self.cost:
+            value = np.min(value[:, None] + cost, axis=0)
+            found.append(float(value.min()))
+        return found
+
+    def least_cost(self) -> float:
+        """Cost of the cheapest route, in infeasible way points; inf where there is none."""
+        return self._least()[-1]
+
     def blocked_segment(self) -> int:
         """First unit segment that no route gets over; the number of segments if there is none."""
-        value = np.where(self.labels.usable[0], 0.0, np.inf)
-        for segment, cost in enumerate(self.cost):
-            value = np.min(value[:, None] + cost, axis=0)
-            if not np.isfinite(value).any():
-                return segment
-        return len(self.cost)
+        finite = np.isfinite(self._least())
+        return len(self.cost) if finite.all() else max(0, int(np.argmin(finite)) - 1)
 
     def leg(self, name: tuple[int, int, int]) -> Leg:
         """A leg by its name."""

@@ -19,6 +19,10 @@ LEAST_GRID = 256
 TOGETHER = 4
 """Paths that are timed in one call."""
 
+ROUNDINGS = 0.0, 0.02, 0.04, 0.08, 0.16, 0.32
+"""Times over which the speed along a path is averaged where the jerk is limited [s]: the one that
+gives the shortest motion is used."""
+
 _speeds = jax.jit(jax.vmap(fastest_speeds, (0, 0, 0, None, None)))
 
 
@@ -32,6 +36,8 @@ class TimingConfig:
     """Share of the acceleration limits."""
     sample_time: float = 0.01
     """Spacing of the returned points [s]."""
+    jerk: float | None = None
+    """Largest jerk of a joint [rad/s^3]; None leaves it free."""
 
 
 class _Path:
@@ -52,19 +58,32 @@ class _Path:
         grid = np.concatenate([self.grid, self.grid[-1:].repeat(size - len(self.grid))])
         return self.spline(grid, 1), self.spline(grid, 2), np.diff(grid, append=grid[-1])
 
-    def sample(self, squared: np.ndarray, limits, period: float) -> Trajectory | None:
+    def sample(self, squared: np.ndarray, config: TimingConfig, limits) -> Trajectory | None:
         """The motion with these squared speeds on the grid; None if it would stand still."""
         squared = squared[: len(self.grid)].astype(float)
         if (squared[1:-1] <= 0).any() or not np.isfinite(squared).all():
             return None
-        times, s, speed_s, rate_s = _sample(self.grid, np.sqrt(squared), period)
+        samples = _sample(self.grid, np.sqrt(squared), config.sample_time)
+        if config.jerk is None:
+            return self._within_limits(*samples, limits, np.inf)
+        rounded = (_rounded(*samples, width) for width in ROUNDINGS)
+        found = [self._within_limits(*one, limits, config.jerk) for one in rounded]
+        return min(found, key=lambda motion: motion.times[-1])
+
+    def _within_limits(self, times, s, speed_s, rate_s, limits, jerk: float) -> Trajectory:
+        """The motion at places on the path, the whole of it as much slower as the limits ask for.
+
+        They hold on the grid, but may be exceeded between its points.
+        """
         slope, bend = self.spline(s, 1), self.spline(s, 2)
         velocities = slope * speed_s[:, None]
         accelerations = bend * speed_s[:, None] ** 2 + slope * rate_s[:, None]
-        # the limits hold on the grid; what exceeds them between its points slows the whole motion
+        change = np.abs(np.diff(accelerations, axis=0)).max() / (times[1] - times[0])
         speed, rate = limits
-        excess = np.max(np.abs(velocities) / speed), np.sqrt(np.max(np.abs(accelerations) / rate))
-        slower = max(1.0, *excess)
+        slower = max(
+            1.0, np.max(np.abs(velocities) / speed),
+            np.sqrt(np.max(np.abs(accelerations) / rate)), np.cbrt(change / jerk),
+        )  # fmt: skip
         at = np.interp(s, self.knots, np.arange(len(self.knots)))
         return Trajectory(
             times * slower, self.spline(s), velocities / slower, accelerations / slower**2,
@@ -100,7 +119,7 @@ def time_parameterize(
         block = [np.stack(a) for a in zip(*(path.rows(size) for path in some), strict=True)]
         squared = np.asarray(_speeds(*(a.astype(np.float32) for a in (*block, *limits))))
         for i, path, one in zip(index[:count], some[:count], squared[:count], strict=True):
-            found[rows[i]] = path.sample(one, limits, config.sample_time)
+            found[rows[i]] = path.sample(one, config, limits)
     return found
 
 
@@ -127,3 +146,21 @@ def _sample(
     since = times - ends[part]
     places = grid[part] + speed[part] * since + rate[part] * since**2 / 2
     return times, np.clip(places, grid[0], grid[-1]), speed[part] + rate[part] * since, rate[part]
+
+
+def _rounded(times, places, speed, rate, width: float):
+    """The same samples with the speed along the path averaged over a time; it lasts as much longer.
+
+    What was a jump of the acceleration becomes a ramp.
+    """
+    period = times[1] - times[0]
+    count = int(round(width / period))
+    if count < 2:
+        return times, places, speed, rate
+    mean = np.convolve(speed, np.full(count, 1 / count))
+    way = np.concatenate([[0.0], np.cumsum((mean[1:] + mean[:-1]) / 2 * period)])
+    stretch = (places[-1] - places[0]) / way[-1]
+    mean *= stretch
+    return (
+        period * np.arange(len(mean)), places[0] + way * stretch, mean, np.gradient(mean, period)
+    )

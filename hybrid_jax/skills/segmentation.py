@@ -5,6 +5,7 @@
 and the planner where exactness counts.
 """
 
+import heapq
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,6 +52,20 @@ def optimal_plan(cost: np.ndarray, count: int) -> tuple[Plan, float]:
         plan.append(back[at])
         at = back[at][0]
     return plan[::-1], float(value[-1])
+
+
+def best_plans(cost: np.ndarray, count: int, wanted: int) -> list[Plan]:
+    """The cheapest admissible plans, best first: `wanted` of them, or as many as there are."""
+    found: list[list[tuple[float, Plan]]] = [[(0.0, [])]]
+    for b in range(1, count):
+        longer = [
+            (total + float(cost[a, b, k]), [*plan, (a, b, int(k))])
+            for a in range(b)
+            for k in np.flatnonzero(np.isfinite(cost[a, b]))
+            for total, plan in found[a]
+        ]
+        found.append(heapq.nsmallest(wanted, longer))
+    return [plan for _, plan in found[-1]]
 
 
 def optimal_costs(tasks: SegmentCosts) -> np.ndarray:
