@@ -8,6 +8,7 @@ import pytest
 
 from hybrid_jax.kernels.collision import clearance
 from hybrid_jax.planner import checking
+from hybrid_jax.planner.checking import PhaseScene
 from hybrid_jax.planner.joints import JointMotionConfig, plan_joint_motion
 from hybrid_jax.planner.scenes import phase_scene
 from hybrid_jax.rrt import RrtConfig
@@ -81,6 +82,41 @@ def test_what_cannot_be_planned_is_named(balls):
     ):
         result = plan_joint_motion(balls, start, goal, CONFIG, key=jax.random.key(0))
         assert result.status is status and words in result.detail and not result.phases
+
+
+LOAD = """<body name="load" pos="-1 -1 0.2"><freejoint/>
+    <geom name="load" type="sphere" size="0.05"/></body></worldbody>"""
+HELD = np.array([-0.12, 0, 0.12, 1, 0, 0, 0.0])
+"""Pose of the load in the tool's frame: it stands on the outer link, which goes under the wall."""
+
+
+def load_touches(model, positions) -> bool:
+    """Does the load touch the wall or the post anywhere along a motion?"""
+    data, found = mujoco.MjData(model), False
+    for q in positions:
+        data.qpos[:2] = q
+        mujoco.mj_kinematics(model, data)
+        turn = data.site_xmat[0].reshape(3, 3)
+        data.qpos[2:5] = data.site_xpos[0] + turn @ HELD[:3]
+        mujoco.mju_mat2Quat(data.qpos[5:9], turn.ravel())
+        mujoco.mj_forward(model, data)
+        pairs = {frozenset(model.geom(int(g)).name for g in pair) for pair in data.contact.geom}
+        found |= any("load" in pair and pair & {"wall", "post"} for pair in pairs)
+    return found
+
+
+def test_what_is_held_is_carried_around_the_wall_as_well():
+    model = mujoco.MjModel.from_xml_string(BALLS.format(middle=0.65).replace("</worldbody>", LOAD))
+    cell = compile_workcell(model, "load", None)
+    lying = np.array([[-1, -1, 0.2, 1, 0, 0, 0.0]])
+    scenes = [PhaseScene(lying, 0.0, *held, ()) for held in ((None, None), ("load", HELD))]
+    bare, loaded = (
+        plan_joint_motion(cell, START, GOAL, CONFIG, key=jax.random.key(0), scene=scene)
+        for scene in scenes
+    )
+    assert bare.status is Status.OK and loaded.status is Status.OK
+    assert load_touches(model, bare.phases[0].positions)
+    assert not load_touches(model, loaded.phases[0].positions)
 
 
 def test_no_way_is_said():
