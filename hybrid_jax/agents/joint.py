@@ -37,8 +37,8 @@ class JointAgentConfig:
     """Their type says which algorithm trains."""
     reach: ReachConfig | PaperReachConfig = ReachConfig()
     """Their type says which world it learns in."""
-    rollouts: tuple[int, ...] = (4, 16, 64)
-    """Rollouts of a planning call, and of the next ones where it finds nothing."""
+    rollouts: tuple[int, ...] = (4, 64)
+    """Rollouts of a planning call, and of the next one where it finds nothing."""
     enough: float = 0.5
     """Share of them that must arrive before the others, which would be longer, are given up."""
     candidates: int = 4

@@ -21,7 +21,7 @@ PIECE = 0.1
 """A path is proven in pieces along which no point of the robot moves further than this [m], ..."""
 SPLIT = 8
 """... each of which is split in so many at most where it comes close to something."""
-CHECKED = 32, 64, 128, 256
+CHECKED = 64, 256
 """Configurations that `path_clearance` takes in one call: few traces for all paths."""
 FAR_ENOUGH = 0.05
 """Clearances beyond this are not told apart [m]."""
