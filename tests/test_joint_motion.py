@@ -9,11 +9,12 @@ import pytest
 from hybrid_jax.kernels.collision import clearance
 from hybrid_jax.planner import checking
 from hybrid_jax.planner.checking import PhaseScene
+from hybrid_jax.planner.finishing import motion_faults
 from hybrid_jax.planner.joints import JointMotionConfig, plan_joint_motion
-from hybrid_jax.planner.scenes import phase_scene
+from hybrid_jax.planner.scenes import home_scene, phase_scene
 from hybrid_jax.rrt import RrtConfig
 from hybrid_jax.skills.task import random_task
-from hybrid_jax.types import Status
+from hybrid_jax.types import Status, Trajectory
 from hybrid_jax.workcell.compile import compile_workcell
 
 BALLS = """
@@ -69,6 +70,19 @@ def test_a_joint_motion_goes_around_a_wall(balls):
     assert any(touches(balls.model, q) for q in straight)
     assert not any(touches(balls.model, q) for q in positions)
     assert np.abs(result.phases[0].velocities).max() <= 2.0
+
+
+def test_what_touches_between_the_points_that_are_looked_at_is_refused(balls):
+    engine = checking.Engine(balls, checking.CheckConfig(max_step=10.0))
+    scene, still = home_scene(balls), np.zeros((2, 2))
+    motion = Trajectory(
+        np.array([0, 9.0]), np.stack([START, GOAL]), still, still, np.zeros(2, np.uint8)
+    )
+    assert checking.collision_fault(engine, scene, motion.positions) is None, "both ends are free"
+    faults = motion_faults(balls, engine, scene, motion)
+    assert len(faults) == 1 and "between the points" in faults[0]
+    away = np.stack([START, START + [0.2, 0.1]])
+    assert not motion_faults(balls, engine, scene, motion.replace(positions=away))
 
 
 def test_what_cannot_be_planned_is_named(balls):
