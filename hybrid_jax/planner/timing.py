@@ -78,7 +78,9 @@ class _Path:
         slope, bend = self.spline(s, 1), self.spline(s, 2)
         velocities = slope * speed_s[:, None]
         accelerations = bend * speed_s[:, None] ** 2 + slope * rate_s[:, None]
-        change = np.abs(np.diff(accelerations, axis=0)).max() / (times[1] - times[0])
+        rest = np.zeros((1, slope.shape[1]))  # before and after the motion
+        change = np.diff(np.concatenate([rest, accelerations, rest]), axis=0)
+        change = np.abs(change).max() / (times[1] - times[0])
         speed, rate = limits
         slower = max(
             1.0, np.max(np.abs(velocities) / speed),
