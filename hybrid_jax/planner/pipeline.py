@@ -75,7 +75,7 @@ def plan_batch(planner: Planner, tasks: Sequence[Task], *, key: Array) -> list[P
     the device works on those of another.
 
     Args:
-        planner: cell, skills and agents.
+        planner: cell, skills and agents; its functions are called from two threads.
         tasks: each in a scene of its own.
         key: draws IK seeds and rollouts; consumed.
     """

@@ -32,7 +32,7 @@ class PlannerConfig:
     check: CheckConfig = CheckConfig()
     plans: int = 1
     """Skill plans of a task that are labelled; that with the fewest infeasible way points is used.
-    Three leave 4 % fewer in the handling cell, and take three times as long to label."""
+    Three leave 4 % fewer in the handling cell, and are three times as many to label."""
     attempts: int = 8
     """Routes of a task that are tried, best first."""
     fallback: RrtConfig | None = RrtConfig(margin=0.001)
