@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""Pictures of a run: learning curves, the feasibility map, a film of the execution."""
+"""Pictures of a run: learning curves and the feasibility map."""
 
-import warnings
 from pathlib import Path
 
 import matplotlib
@@ -9,17 +8,11 @@ import matplotlib
 matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt  # noqa: E402
-import mujoco  # noqa: E402
 import numpy as np  # noqa: E402
 from matplotlib.colors import ListedColormap  # noqa: E402
 
 from hybrid_jax.feasibility.building import FeasibilityMap  # noqa: E402
 from hybrid_jax.feasibility.judging import Reason  # noqa: E402
-from hybrid_jax.types import Workcell  # noqa: E402
-
-FPS = 12
-"""Frames of a film per simulated second."""
-
 
 def draw_curves(
     path: Path, rows: list[dict], title: str, unit: str, names: tuple[str, ...]
@@ -88,56 +81,3 @@ def draw_map(path: Path, fmap: FeasibilityMap) -> None:
         _slice(ax, share, axes, across, cmap="coolwarm", vmin=0, vmax=1)
     fig.savefig(path, dpi=110)
     plt.close(fig)
-
-
-def make_renderer(model: mujoco.MjModel) -> mujoco.Renderer | None:
-    """Off-screen renderer; None (and a sentence) where neither EGL nor OSMesa works."""
-    try:
-        return mujoco.Renderer(model, 360, 480)
-    except Exception as error:  # noqa: BLE001  GL back ends raise whatever they like
-        print(
-            f"no film: off-screen rendering failed ({type(error).__name__}); install EGL or set "
-            "MUJOCO_GL=osmesa with OSMesa installed. The rest of the run is not affected."
-        )
-        return None
-
-
-class Film:
-    """Collects frames of a simulation."""
-
-    def __init__(self, cell: Workcell):
-        self.renderer = make_renderer(cell.model)
-        if self.renderer is not None:  # software renderers spend most of their time on shadows
-            self.renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
-            self.renderer.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
-        self.camera = (
-            "overview"
-            if any(cell.model.camera(i).name == "overview" for i in range(cell.model.ncam))
-            else -1
-        )
-        self.frames: list[np.ndarray] = []
-
-    def watch(self, data: mujoco.MjData) -> None:
-        """Take a frame if it is time for one."""
-        if self.renderer is not None and data.time * FPS >= len(self.frames):
-            self.renderer.update_scene(data, camera=self.camera)
-            self.frames.append(self.renderer.render().copy())
-
-    def save(self, folder: Path) -> None:
-        """Write `demo.png` (six moments) and, where ffmpeg is there, `demo.mp4`."""
-        if self.renderer is not None:
-            self.renderer.close()
-        if not self.frames:
-            return
-        moments = [self.frames[int(i)] for i in np.linspace(0, len(self.frames) - 1, 6)]
-        rows = [np.concatenate(moments[:3], axis=1), np.concatenate(moments[3:], axis=1)]
-        plt.imsave(folder / "demo.png", np.concatenate(rows))
-        try:
-            import imageio.v2 as imageio  # noqa: PLC0415
-
-            with warnings.catch_warnings():
-                # JAX warns of every fork; this child starts ffmpeg at once
-                warnings.simplefilter("ignore", RuntimeWarning)
-                imageio.mimwrite(folder / "demo.mp4", self.frames, fps=FPS, macro_block_size=1)
-        except (ImportError, OSError, ValueError) as error:
-            print(f"no demo.mp4 ({error}); the moments are in demo.png")

@@ -3,15 +3,14 @@
 
 import functools
 import json
-import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hybrid_jax import artifacts, pictures
+from hybrid_jax import artifacts, film, pictures
 from hybrid_jax.agents import controllers, dqn, joint, switching
 from hybrid_jax.agents.segments import Segments, refuse_infeasible
 from hybrid_jax.checkpoints import train_agent
@@ -20,15 +19,15 @@ from hybrid_jax.feasibility.judging import Reason
 from hybrid_jax.planner import harvest
 from hybrid_jax.planner.lfd import optimal_chooser
 from hybrid_jax.planner.loading import load_planner, read_library, read_scale
-from hybrid_jax.planner.pipeline import plan_motion
+from hybrid_jax.planner.pipeline import plan_batch
 from hybrid_jax.planner.switchdata import combined_phases
 from hybrid_jax.progress import Progress
 from hybrid_jax.runfolder import Run
-from hybrid_jax.simulation.execution import execute, start_data
+from hybrid_jax.simulation.runs import planning, sort_scene
 from hybrid_jax.skills.costs import SegmentCosts, pad_task, segment_costs
 from hybrid_jax.skills.segmentation import optimal_costs
-from hybrid_jax.skills.task import handling_task, random_task, require_handling, sample_scene
-from hybrid_jax.types import Status
+from hybrid_jax.skills.task import random_task
+from hybrid_jax.types import Source
 
 TRAINING_TASKS = 10_000
 """Seed of the first training task; evaluation uses seeds below."""
@@ -206,55 +205,21 @@ def run_switch(run: Run, quiet: bool) -> dict:
 
 def run_demo(run: Run, quiet: bool) -> dict:
     """Plan and execute the sorting of one scene, object after object, in physics."""
-    cell, preset = run.cell, run.preset
     planner = load_planner(run)
-    names = [spec.name for spec in require_handling(cell).objects][-preset.demo_objects :]
-    poses = sample_scene(cell, run.seed)
-    film = pictures.Film(cell)
-    data, rows = None, []
-    for number, name in enumerate(names):
-        task = handling_task(cell, name, poses)
-        began = time.perf_counter()
-        plan = plan_motion(planner, task, key=jax.random.fold_in(jax.random.key(run.seed), number))
-        row = {
-            "step": number,
-            "object": name,
-            "status": plan.status.name,
-            "detail": plan.detail,
-            "planning_s": round(time.perf_counter() - began, 2),
-            "drl_share": round(plan.drl_share, 3),
-        }
-        if plan.status is Status.OK:
-            data = start_data(cell, task) if data is None else data
-            report = execute(cell, task, plan, watch=film.watch, data=data)
-            poses = report.object_poses
-            row |= {
-                "placed": report.placed,
-                "touched": report.touched,
-                "tracking_error": round(report.tracking_error, 4),
-                "skills": plan.skills,
-                "execution_s": round(report.duration, 1),
-            }
-        rows.append(row)
+    names = list(run.cell.source.layout.object_names)[-run.preset.demo_objects :]
+    sorted_ = sort_scene(run.cell, planning(planner, plan_batch, run.seed), run.seed, names)
+    rows = [{"step": i} | asdict(report) for i, report in enumerate(sorted_.reports)]
+    for row in rows:
         run.log("demo", row)
         if not quiet:
-            print(
-                f"demo    {name}: {row['status']}"
-                + (
-                    f", {'placed' if row.get('placed') else 'not placed'}"
-                    if "placed" in row
-                    else f" ({row['detail']})"
-                ),
-                flush=True,
-            )
-    film.save(run.folder)
-    placed = sum(bool(row.get("placed")) for row in rows)
-    hybrid = sum(bool(row.get("placed")) and 0 < row["drl_share"] < 1 for row in rows)
+            print(f"demo    {row['name']}: {row['cause'] or 'placed'} {row['detail']}".rstrip())
+    film.save(run.path("demo"), film.render(run.cell.model, sorted_.frames))
+    both = [r["success"] and 0 < r["shares"].get(Source.DRL.name, 0) < 1 for r in rows]
     summary = {
         "objects": len(rows),
-        "placed": placed,
-        "placed_by_both_agents": hybrid,
-        "touched": sum(bool(row.get("touched")) for row in rows),
+        "placed": sum(row["success"] for row in rows),
+        "placed_by_both_agents": sum(both),
+        "touched": len(sorted_.touches),
     }
     run.path("demo.json").write_text(json.dumps({"summary": summary, "objects": rows}, indent=1))
     return summary

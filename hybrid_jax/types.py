@@ -6,6 +6,7 @@ dual quaternion `[8]` (see `kernels.dualquat`). Records hold one configuration; 
 """
 
 import enum
+from pathlib import Path
 from typing import TypeVar, dataclass_transform, no_type_check
 
 import mujoco
@@ -162,8 +163,10 @@ class Workcell:
 class WorkcellSource:
     """Host-side half of a cell. Two loads of one file are equal, so they share compiled code."""
 
-    def __init__(self, *, name, digest, model, layout, task, owners, fixture_bodies):
+    def __init__(self, *, name, digest, model, layout, task, owners, fixture_bodies, path=None):
         self.name: str = name
+        self.path: Path | None = path
+        """File that the model was read from; None where it came from elsewhere."""
         self.digest: str = digest
         """Hash of everything the model was compiled from: it identifies the cell in files."""
         self.model: mujoco.MjModel = model

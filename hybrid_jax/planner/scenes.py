@@ -38,9 +38,14 @@ def _placed_pose(source: WorkcellSource, name: str) -> np.ndarray:
     return as_row(place_pose(source, spec) * pose_of(row[:3], row[3:]))
 
 
-@functools.partial(jax.jit, static_argnames=("name", "support"))
+@functools.partial(jax.jit, static_argnames=("name", "grasp", "support"))
 def kind_scenes(
-    cell: Workcell, poses: Float[Array, "object 7"], *, name: str, support: tuple[str, ...]
+    cell: Workcell,
+    poses: Float[Array, "object 7"],
+    *,
+    name: str,
+    grasp: int,
+    support: tuple[str, ...],
 ) -> Scene:
     """Scenes of the three kinds of phases, stacked in their order.
 
@@ -48,12 +53,13 @@ def kind_scenes(
         cell: any scene of the cell.
         poses: where the objects lie at first.
         name: object to be carried.
+        grasp: which of its grasps is used.
         support: fixtures that it may touch while it is held.
     """
     data = require_handling(cell)
     spec, index = data.object(name), scenes.object_index(cell, name)
     before = scenes.with_opening(scenes.place_objects(cell, poses), data.gripper.open)
-    hangs = jnp.asarray(object_in_tool(spec), jnp.float32)
+    hangs = jnp.asarray(object_in_tool(spec, grasp), jnp.float32)
     held = scenes.with_opening(scenes.attach(before, name, hangs), spec.grip)
     put = poses.at[index].set(jnp.asarray(placed_pose(cell, name), poses.dtype))
     after = scenes.with_opening(scenes.place_objects(cell, put), data.gripper.open)
@@ -63,7 +69,9 @@ def kind_scenes(
 def task_scenes(cell: Workcell, task: Task) -> Scene:
     """Scene of every unit segment of a task, stacked."""
     poses = jnp.asarray(task.object_poses, jnp.float32)
-    found = kind_scenes(cell, poses, name=task.object_name, support=task.support)
+    found = kind_scenes(
+        cell, poses, name=task.object_name, grasp=task.grasp, support=task.support
+    )
     found, kinds = jax.device_get(found), segment_kinds(task)
     return jax.tree.map(lambda a: a[kinds], found)
 
@@ -77,7 +85,8 @@ def phase_scene(cell: Workcell, task: Task, kind: int) -> PhaseScene:
         poses[index] = placed_pose(cell, task.object_name)
     if kind != CARRYING:
         return PhaseScene(poses, data.gripper.open, None, None, ())
-    return PhaseScene(poses, spec.grip, task.object_name, object_in_tool(spec), task.support)
+    held = object_in_tool(spec, task.grasp)
+    return PhaseScene(poses, spec.grip, task.object_name, held, task.support)
 
 
 def home_scene(cell: Workcell) -> PhaseScene:

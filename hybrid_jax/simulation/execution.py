@@ -1,221 +1,221 @@
 # SPDX-License-Identifier: MIT
-"""Execute a plan in C MuJoCo: track, grip, release, and say what happened."""
+"""Carry out one plan: follow its phases, grip, look, release, and say how it ended."""
 
+import enum
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 
-from hybrid_jax.planner.records import PlanResult
-from hybrid_jax.skills.task import Task, require_handling
-from hybrid_jax.types import Trajectory, Workcell
-from hybrid_jax.workcell.layout import home_qpos, moved_bodies
+from hybrid_jax.planner.scenes import placed_pose
+from hybrid_jax.simulation.plant import Plant, Steps
+from hybrid_jax.simulation.sensing import FINGERS, OBJECTS
+from hybrid_jax.skills.task import Task, yaw_of
+from hybrid_jax.types import Trajectory
 
 
 @dataclass(frozen=True)
 class ExecutionConfig:
     """Times and thresholds of an execution."""
 
+    tick: float = 0.05
+    """Time between two looks at the cell [s]; the servos work at every physics step."""
     grip_time: float = 0.8
     """Time that closing or opening the gripper takes [s]."""
     dwell: float = 0.3
     """Rest at the end of a phase before the gripper moves [s]."""
     settle: float = 0.6
     """Time that objects get to come to rest at the end [s]."""
-    held_within: float = 0.04
+    brake: float = 0.3
+    """Time in which a motion is brought to rest along its path [s]."""
+    lost_at: float = 0.02
     """A held object is lost when it is further than this from where it was gripped [m]."""
-    moved_by: float = 0.01
-    """Another object counts as disturbed when it moved by more than this [m]."""
+    moved_by: float = 0.005
+    """An object was moved when it is further than this from where it was planned for [m], ..."""
+    turned_by: float = 0.05
+    """... or turned by more than this [rad]."""
+    near: float = 0.03
+    """A held object may touch its support where it is this close to where it lies on it [m]."""
+    switch_time: float = 0.3
+    """A drop belongs to a switch between skill and joint agent within this time after it [s]."""
+    tries: int = 4
+    """Plans that are carried out for one object at most."""
+    weld: bool = False
+    """Hold objects by a weld instead of by friction."""
 
 
-@dataclass
-class ExecutionReport:
-    """What happened to one object's task."""
+class Ending(enum.Enum):
+    """How carrying out a plan ended."""
 
-    placed: bool = False
-    """The object lies in its tray, at rest."""
-    grasped: bool = False
-    """It was still in the gripper at the end of the carrying phase."""
-    touched: list[str] = field(default_factory=list)
-    """Contacts of the robot or the carried object with the cell, and disturbed objects."""
-    tracking_error: float = 0.0
-    """Largest joint error while tracking [rad]."""
-    object_poses: np.ndarray = field(default_factory=lambda: np.zeros((0, 7)))
-    """`[object, 7]` where every object lies afterwards."""
-    duration: float = 0.0
-    """Simulated time [s]."""
-
-    @property
-    def success(self) -> bool:
-        """Placed, and nothing else touched."""
-        return self.placed and not self.touched
+    DONE = "carried out"
+    MOVED = "an object moved on the way to the grasp"
+    MISSED = "missed grasp"
+    DROPPED = "drop in transfer"
+    DROPPED_AT_SWITCH = "drop at a switch"
 
 
-Watcher = Callable[[mujoco.MjData], None]
-"""Called after every control step, for pictures."""
-
-
-class _Run:
-    """One execution: model, data and what has been seen so far."""
+class Execution:
+    """One plan for one object in one plant."""
 
     def __init__(
         self,
-        cell: Workcell,
+        plant: Plant,
         task: Task,
-        config: ExecutionConfig,
-        watch: Watcher | None,
-        data: mujoco.MjData | None,
+        phases: list[Trajectory],
+        config: ExecutionConfig = ExecutionConfig(),
     ):
-        self.model, self.layout, self.task = cell.model, cell.source.layout, task
-        self.config, self.watch, self.spec = config, watch, require_handling(cell)
-        self.data = data if data is not None else start_data(cell, task)
-        self.report = ExecutionReport()
-        self.object = self.layout.object_names.index(task.object_name)
-        self.arm = moved_bodies(self.model, self.layout)
-        self.began = self.data.time
-        self.carrying = False
+        """Args:
+            plant: the cell.
+            task: what was planned.
+            phases: of the plan.
+            config: times and thresholds.
 
-    def step(self, q: np.ndarray, grip: float, velocity: np.ndarray | float = 0.0) -> None:
-        """One physics step towards a joint target and a gripper command.
-
-        The servos damp the joint's own velocity; feeding the wanted one forward takes their lag.
+        Raises:
+            ValueError: there is nothing to carry out, or it starts elsewhere than the arm stands.
         """
-        servos = list(self.layout.actuators)
-        lag = -self.model.actuator_biasprm[servos, 2] / self.model.actuator_gainprm[servos, 0]
-        self.data.ctrl[servos] = q + lag * velocity
-        self.data.ctrl[self.layout.gripper_actuator] = grip
-        mujoco.mj_step(self.model, self.data)
-        error = np.abs(self.data.qpos[list(self.layout.qpos)] - q).max()
-        self.report.tracking_error = max(self.report.tracking_error, float(error))
-        self._look()
-        if self.watch:
-            self.watch(self.data)
+        if not phases:
+            raise ValueError("nothing to execute: the plan holds no trajectory")
+        away = np.abs(plant.target - phases[0].positions[0]).max()
+        if away > 0.01:
+            raise ValueError(f"the arm is {away:.2f} rad away from where the plan starts")
+        self.plant, self.task, self.phases, self.config = plant, task, phases, config
+        self.object = plant.layout.object_names.index(task.object_name)
+        self.gripper = plant.spec.gripper
+        self.seen = plant.objects()
+        self.disturb: Callable[[int], None] = lambda index: None
+        """Called half way to the grasp with the object that is reached for."""
+        self.gripped_at = np.zeros(3)
 
-    def _look(self) -> None:
-        """Note contacts that should not be."""
-        allowed = {self.layout.object_bodies[self.object]}
-        support = {self.model.body(name).id for name in self.task.support}
-        for contact in self.data.contact[: self.data.ncon]:
-            if contact.dist > 0:
-                continue
-            a, b = (int(self.model.geom_bodyid[g]) for g in contact.geom)
-            moving = [self.arm[x] or (self.carrying and x in allowed) for x in (a, b)]
-            if moving[0] == moving[1]:
-                continue
-            mover, other = (a, b) if moving[0] else (b, a)
-            wanted = (self.arm[mover] and other in allowed) or (
-                mover in allowed and other in support
+    def run(self) -> Steps:
+        """From the plan's start to its end, or to what went wrong; returns an `Ending`."""
+        for number, trajectory in enumerate(self.phases):
+            low = self.task.phases[number][0]
+            held, ever = self.task.carrying[low], any(self.task.carrying[:low])
+            if held:
+                yield from self.close()
+                if not self.gripped():
+                    yield from self.open()
+                    return Ending.MISSED
+                ending = yield from self.follow(trajectory, self.gripper.squeeze, self.lost)
+            else:
+                if ever:
+                    yield from self.open()
+                watch = (lambda time: None) if ever else self.moved
+                ending = yield from self.follow(trajectory, self.gripper.open, watch)
+            if ending:
+                if held:
+                    yield from self.open()
+                return ending
+        yield from self.hold(self.gripper.open, self.config.settle)
+        return Ending.DONE
+
+    def follow(self, trajectory: Trajectory, grip: float, watch) -> Steps:
+        """Along a trajectory, then at rest; brakes and returns an `Ending` if `watch` sees one."""
+        plant, now = self.plant, 0.0
+        times = np.arange(plant.dt, trajectory.times[-1] + self.config.dwell, plant.dt)
+        for chunk in plant.chunks(*_targets(trajectory, times), grip):
+            yield from plant.step(chunk, self.allowed(grip))
+            if now < trajectory.times[-1] / 2 <= now + self.config.tick and trajectory is self.phases[0]:
+                self.disturb(self.object)
+            now += len(chunk.targets) * plant.dt
+            ending = watch(now)
+            if ending:
+                yield from self.stop(trajectory, now, grip)
+                return ending
+        return None
+
+    def stop(self, trajectory: Trajectory, now: float, grip: float) -> Steps:
+        """To rest along the path, ever slower."""
+        plant, brake = self.plant, self.config.brake
+        since = np.arange(plant.dt, brake + plant.dt / 2, plant.dt)
+        q, velocity = _targets(trajectory, now + since - since**2 / (2 * brake))
+        for chunk in plant.chunks(q, velocity * (1 - since / brake)[:, None], grip):
+            yield from plant.step(chunk, self.allowed(grip))
+
+    def hold(self, grip: float, seconds: float) -> Steps:
+        """Keep the configuration while the gripper or the objects move."""
+        q = np.repeat(self.plant.target[None], max(1, round(seconds / self.plant.dt)), axis=0)
+        for chunk in self.plant.chunks(q, np.zeros_like(q), grip):
+            yield from self.plant.step(chunk, self.at_rest())
+
+    def close(self) -> Steps:
+        """Grip."""
+        yield from self.hold(self.gripper.squeeze, self.config.grip_time)
+        self.gripped_at = self.plant.object_in_tool(self.object)
+        if self.config.weld:
+            self._weld(1.0)
+
+    def open(self) -> Steps:
+        """Let go."""
+        self._weld(0.0)
+        yield from self.hold(self.gripper.open, self.config.grip_time)
+
+    def _weld(self, active: float) -> None:
+        name = f"weld {self.task.object_name}"
+        self.plant.welded[self.plant.model.equality(name).id] = active
+
+    def gripped(self) -> bool:
+        """Is the object between the pads?"""
+        spec = self.plant.spec.object(self.task.object_name)
+        between = self.plant.opening() > spec.grip / 2
+        return self.config.weld or bool(between and self.plant.pads_on(self.object))
+
+    def lost(self, time: float) -> Ending | None:
+        """Does the object no longer move with the tool?"""
+        slip = np.linalg.norm(self.plant.object_in_tool(self.object) - self.gripped_at)
+        if slip < self.config.lost_at:
+            return None
+        carried = self.phases[1]
+        marks, times = carried.sources, carried.times
+        switches = times[1:][marks[1:] != marks[:-1]]
+        since = time - switches
+        at_switch = ((since >= 0) & (since < self.config.switch_time)).any()
+        return Ending.DROPPED_AT_SWITCH if at_switch else Ending.DROPPED
+
+    def moved(self, time: float) -> Ending | None:
+        """Does an object lie elsewhere than it was planned for?"""
+        now = self.plant.objects()
+        away = np.linalg.norm(now[:, :3] - self.seen[:, :3], axis=1)
+        turn = np.array([yaw_of(a) - yaw_of(b) for a, b in zip(now, self.seen, strict=True)])
+        turn = np.abs((turn + np.pi) % (2 * np.pi) - np.pi)
+        far = (away > self.config.moved_by) | (turn > self.config.turned_by)
+        return Ending.MOVED if far.any() else None
+
+    def at_rest(self) -> np.ndarray:
+        """`[mover, thing]` contacts that may be while the arm rests.
+
+        The fingers may touch the object, and objects what they lie on.
+        """
+        sensed = self.plant.sensed
+        allowed = np.zeros((len(sensed.movers), len(sensed.things)), bool)
+        allowed[OBJECTS:] = True
+        allowed[FINGERS, self.object] = True
+        return allowed
+
+    def allowed(self, grip: float) -> np.ndarray:
+        """`[mover, thing]` contacts that may be now.
+
+        A held object may touch only what it is lifted from or put on, and only there.
+        """
+        allowed, things = self.at_rest(), self.plant.sensed.things
+        if grip == self.gripper.open:
+            return allowed
+        row = OBJECTS + self.object
+        allowed[row] = allowed[OBJECTS:, self.object] = False
+        position = self.plant.objects()[self.object, :3]
+        ends = self.seen[self.object], placed_pose(self.plant.sensed.cell, self.task.object_name)
+        for support, end in zip(self.task.support, ends, strict=True):
+            allowed[row, things.index(support)] = (
+                np.linalg.norm(position - end[:3]) < self.config.near
             )
-            if not wanted:
-                self._note(f"{self.model.body(mover).name} touched {self.model.body(other).name}")
-
-    def _note(self, text: str) -> None:
-        if text not in self.report.touched:
-            self.report.touched.append(text)
-
-    def track(self, trajectory: Trajectory, grip: float) -> None:
-        """Follow a timed trajectory, then rest."""
-        dt = self.model.opt.timestep
-        for t in np.arange(0, trajectory.times[-1] + self.config.dwell, dt):
-            q, velocity = (
-                np.array([np.interp(t, trajectory.times, c) for c in columns.T])
-                for columns in (trajectory.positions, trajectory.velocities)
-            )
-            self.step(q, grip, velocity if t < trajectory.times[-1] else 0.0)
-
-    def hold(self, q: np.ndarray, grip: float, seconds: float) -> None:
-        """Keep a configuration while the gripper or the objects move."""
-        for _ in range(int(seconds / self.model.opt.timestep)):
-            self.step(q, grip)
-
-    def object_in_tool(self) -> np.ndarray:
-        """Position of the object in the tool's frame [m]."""
-        site = self.layout.tool_site
-        offset = self.data.xpos[self.layout.object_bodies[self.object]] - self.data.site_xpos[site]
-        return self.data.site_xmat[site].reshape(3, 3).T @ offset
-
-    def poses(self) -> np.ndarray:
-        """`[object, 7]` where the objects are."""
-        return np.stack([self.data.qpos[a : a + 7].copy() for a in self.layout.object_qpos])
-
-    def in_tray(self) -> bool:
-        """Does the object lie in its tray, at rest?"""
-        tray = self.spec.tray(self.spec.object(self.task.object_name).tray)
-        body = self.model.body(tray.name).id
-        local = self.data.xmat[body].reshape(3, 3).T @ (
-            self.data.xpos[self.layout.object_bodies[self.object]] - self.data.xpos[body]
-        )
-        dof = self.model.body_dofadr[self.layout.object_bodies[self.object]]
-        slow = np.abs(self.data.qvel[dof : dof + 6]).max() < 0.05
-        inside = (np.abs(local[:2]) <= tray.half_size).all() and -0.01 < local[
-            2
-        ] - tray.floor < 0.06
-        return bool(inside and slow)
+        return allowed
 
 
-def start_data(cell: Workcell, task: Task) -> mujoco.MjData:
-    """The arm at home, the objects where the task says, the gripper open."""
-    model, layout, spec = cell.model, cell.source.layout, require_handling(cell)
-    data = mujoco.MjData(model)
-    data.qpos[:] = home_qpos(model)
-    for address, pose in zip(layout.object_qpos, task.object_poses, strict=True):
-        data.qpos[address : address + 7] = pose
-    data.ctrl[list(layout.actuators)] = data.qpos[list(layout.qpos)]
-    data.ctrl[layout.gripper_actuator] = spec.gripper.open
-    mujoco.mj_forward(model, data)
-    return data
-
-
-def execute(
-    cell: Workcell,
-    task: Task,
-    plan: PlanResult,
-    config: ExecutionConfig = ExecutionConfig(),
-    *,
-    watch: Watcher | None = None,
-    data: mujoco.MjData | None = None,
-) -> ExecutionReport:
-    """Execute a plan for one object.
-
-    Args:
-        cell: its model is simulated.
-        task: the task that was planned.
-        plan: with status OK.
-        config: times and thresholds.
-        watch: called after every step.
-        data: simulation to go on with; a fresh one in the task's scene if None.
-
-    Raises:
-        ValueError: the plan holds no trajectory, or starts elsewhere than the arm stands.
-    """
-    if not plan.phases:
-        raise ValueError(f"nothing to execute: the plan ended with {plan.status.name}")
-    run = _Run(cell, task, config, watch, data)
-    away = np.abs(run.data.qpos[list(run.layout.qpos)] - plan.phases[0].positions[0]).max()
-    if away > 0.1:
-        raise ValueError(f"the arm is {away:.2f} rad away from where the plan starts")
-    gripper = run.spec.gripper
-    before = run.poses()
-    gripped_at = np.zeros(3)
-    for phase, trajectory in enumerate(plan.phases):
-        run.carrying = task.carrying[task.phases[phase][0]]
-        grip = gripper.squeeze if run.carrying else gripper.open
-        if phase:
-            run.hold(plan.phases[phase - 1].positions[-1], grip, config.grip_time)
-        if run.carrying:
-            gripped_at = run.object_in_tool()
-        run.track(trajectory, grip)
-        if run.carrying:
-            slip = np.linalg.norm(run.object_in_tool() - gripped_at)
-            run.report.grasped = bool(slip < config.held_within)
-            run.carrying = False
-    run.hold(plan.phases[-1].positions[-1], gripper.open, config.settle)
-    report = run.report
-    report.placed, report.object_poses = run.in_tray(), run.poses()
-    report.duration = run.data.time - run.began
-    moved = np.linalg.norm(report.object_poses[:, :3] - before[:, :3], axis=1) > config.moved_by
-    for k in np.flatnonzero(moved):
-        if k != run.object:
-            run._note(f"{run.layout.object_names[k]} was moved")
-    return report
+def _targets(trajectory: Trajectory, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Configurations and velocities `[time, joint]`; at rest before and after."""
+    inside = (times >= 0) & (times < trajectory.times[-1])
+    q, velocity = (
+        np.stack([np.interp(times, trajectory.times, c) for c in columns.T], axis=1)
+        for columns in (trajectory.positions, trajectory.velocities)
+    )
+    return q, velocity * inside[:, None]

@@ -36,6 +36,8 @@ class Task:
     """Fixtures that the held object may touch: it is lifted from or put on them."""
     start: np.ndarray
     """`[joint]` configuration in which the arm stands [rad]."""
+    grasp: int = 0
+    """Which of the object's grasps is used."""
 
     @property
     def phases(self) -> list[tuple[int, int]]:
@@ -71,19 +73,22 @@ def upright(position, yaw: float) -> RigidTransform:
     )
 
 
-def object_in_tool(spec: ObjectSpec) -> np.ndarray:
-    """`[7]` pose of a grasped object in the tool's frame, as demonstrated."""
-    grasp = RigidTransform.from_components(np.array(spec.grasp), _DOWN)
-    return as_row(grasp.inv())
+def _grasp_frame(spec: ObjectSpec, grasp: int) -> RigidTransform:
+    """The tool in the frame of an upright object."""
+    return RigidTransform.from_components(np.array(spec.grasps[grasp]), _DOWN)
 
 
-def grasp_pose(spec: ObjectSpec, pose: np.ndarray) -> RigidTransform:
+def object_in_tool(spec: ObjectSpec, grasp: int = 0) -> np.ndarray:
+    """`[7]` pose of a grasped object in the tool's frame."""
+    return as_row(_grasp_frame(spec, grasp).inv())
+
+
+def grasp_pose(spec: ObjectSpec, pose: np.ndarray, grasp: int = 0) -> RigidTransform:
     """Tool pose that grasps an object lying at `pose` `[7]`: from above, along its heading."""
-    grasp = RigidTransform.from_components(np.array(spec.grasp), _DOWN)
-    return upright(pose[:3], yaw_of(pose)) * grasp
+    return upright(pose[:3], yaw_of(pose)) * _grasp_frame(spec, grasp)
 
 
-def place_pose(source: WorkcellSource, spec: ObjectSpec) -> RigidTransform:
+def place_pose(source: WorkcellSource, spec: ObjectSpec, grasp: int = 0) -> RigidTransform:
     """Tool pose that puts an object into its slot of its tray."""
     task, layout = source.task, source.layout
     tray = task.tray(spec.tray)
@@ -91,11 +96,7 @@ def place_pose(source: WorkcellSource, spec: ObjectSpec) -> RigidTransform:
     address = layout.object_qpos[layout.object_names.index(spec.name)]
     height = tray.floor + task.release + home_qpos(source.model)[address + 2]
     slot = upright([*spec.slot[:2], height], spec.slot[2])
-    return (
-        pose_of(body.pos, body.quat)
-        * slot
-        * RigidTransform.from_components(np.array(spec.grasp), _DOWN)
-    )
+    return pose_of(body.pos, body.quat) * slot * _grasp_frame(spec, grasp)
 
 
 def _raised(pose: RigidTransform, height: float) -> RigidTransform:
@@ -108,7 +109,11 @@ def home_pose(cell: Workcell) -> np.ndarray:
 
 
 def handling_task(
-    cell: Workcell, object_name: str, object_poses: np.ndarray, start: np.ndarray | None = None
+    cell: Workcell,
+    object_name: str,
+    object_poses: np.ndarray,
+    start: np.ndarray | None = None,
+    grasp: int = 0,
 ) -> Task:
     """The task of sorting one object: start, grasp, lifted, above its slot, placed, home.
 
@@ -117,13 +122,15 @@ def handling_task(
         object_name: what to carry to its tray.
         object_poses: `[object, 7]` where all objects lie.
         start: `[joint]` where the arm stands [rad]; at home if None.
+        grasp: which of the object's grasps to use.
     """
     data = require_handling(cell)
     spec = data.object(object_name)
     index = cell.source.layout.object_names.index(object_name)
-    grasp, place = grasp_pose(spec, object_poses[index]), place_pose(cell.source, spec)
+    hold = grasp_pose(spec, object_poses[index], grasp)
+    place = place_pose(cell.source, spec, grasp)
     rows = np.stack(
-        [as_row(p) for p in (grasp, _raised(grasp, data.lift), _raised(place, data.hover), place)]
+        [as_row(p) for p in (hold, _raised(hold, data.lift), _raised(place, data.hover), place)]
     ).astype(np.float32)
     poses = np.asarray(dq.from_parts(jnp.asarray(rows[:, :3]), jnp.asarray(rows[:, 3:])))
     home = home_pose(cell)
@@ -136,6 +143,7 @@ def handling_task(
         (False, True, True, True, False),
         (data.table, spec.tray),
         start,
+        grasp,
     )
 
 

@@ -2,6 +2,7 @@
 """`MjModel` to `Workcell`: the only place where MJCF turns into the kernels' arrays."""
 
 import hashlib
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -93,6 +94,7 @@ def compile_workcell(
     name: str,
     task: Handling | None,
     mesh_tolerance: float = MESH_TOLERANCE,
+    path: Path | None = None,
 ) -> Workcell:
     """Turn a compiled model into the pytree that the kernels read.
 
@@ -138,5 +140,6 @@ def compile_workcell(
         task=task,
         owners=tuple(owners),
         fixture_bodies=tuple(model.body(model.geom_bodyid[p.geom]).name for p in fixtures),
+        path=path,
     )
     return Workcell(**arrays, scene=scene, source=source)

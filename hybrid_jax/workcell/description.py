@@ -54,6 +54,13 @@ class ObjectSpec:
     """Half widths of that region [m, m, rad]."""
     slot: tuple[float, float, float]
     """Where it is put in the tray's frame: x, y [m], yaw [rad]."""
+    regrasp: tuple[tuple[float, float, float], ...] = ()
+    """Further grasps, like `grasp`: tried in turn where the first fails."""
+
+    @property
+    def grasps(self) -> tuple[tuple[float, float, float], ...]:
+        """All grasps, the best first."""
+        return (self.grasp, *self.regrasp)
 
 
 @dataclass(frozen=True)
@@ -88,9 +95,13 @@ class Handling:
         raise UnknownNameError("tray", name, [spec.name for spec in self.trays])
 
 
+def _fixed(value):
+    return tuple(map(_fixed, value)) if isinstance(value, list) else value
+
+
 def _record(kind, values: dict, where: str):
     """Build a spec from a TOML table, turning lists into tuples."""
-    fixed = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+    fixed = {k: _fixed(v) for k, v in values.items()}
     try:
         return kind(**fixed)
     except TypeError as error:

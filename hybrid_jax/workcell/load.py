@@ -77,7 +77,7 @@ def load_workcell(name_or_path: str | Path, *, mesh_tolerance: float = MESH_TOLE
     path = find_workcell(name_or_path)
     model = read_model(path)
     task = read_handling(path.with_suffix(".toml"))
-    cell = compile_workcell(model, path.stem, task, mesh_tolerance)
+    cell = compile_workcell(model, path.stem, task, mesh_tolerance, path)
     fixed_or_object = {
         g
         for g in range(model.ngeom)

@@ -13,7 +13,7 @@ class SharedSource(WorkcellSource):
     def __init__(self, own: WorkcellSource, group: str):
         super().__init__(
             name=own.name, digest=own.digest, model=own.model, layout=own.layout, task=own.task,
-            owners=own.owners, fixture_bodies=own.fixture_bodies,
+            owners=own.owners, fixture_bodies=own.fixture_bodies, path=own.path,
         )  # fmt: skip
         self.group = group
 

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: MIT
+"""Films of simulated runs, drawn off-screen."""
+
+import warnings
+from collections.abc import Iterable
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from PIL import Image, ImageDraw
+
+FPS = 10
+"""Frames of a film per simulated second."""
+SIZE = 360, 480
+"""Height and width of a picture [pixel]."""
+
+
+def make_renderer(model: mujoco.MjModel) -> mujoco.Renderer | None:
+    """Off-screen renderer; None (and a sentence) where neither EGL nor OSMesa works."""
+    try:
+        renderer = mujoco.Renderer(model, *SIZE)
+    except Exception as error:  # noqa: BLE001  GL back ends raise whatever they like
+        print(
+            f"no film: off-screen rendering failed ({type(error).__name__}); install EGL (libegl1) "
+            "or OSMesa (libosmesa6) and set MUJOCO_GL=egl or MUJOCO_GL=osmesa. Nothing else is "
+            "affected."
+        )
+        return None
+    for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
+        renderer.scene.flags[flag] = 0  # software renderers spend most of their time on them
+    return renderer
+
+
+def render(model: mujoco.MjModel, frames: np.ndarray, rate: float = 20.0) -> list[np.ndarray]:
+    """Pictures `[height, width, 3]` of a run, `FPS` a second; none where nothing can be drawn.
+
+    Args:
+        model: the cell; its camera `overview` is used if there is one.
+        frames: `[frame, nq]`
+        rate: frames per second.
+    """
+    renderer = make_renderer(model)
+    if renderer is None:
+        return []
+    cameras = [model.camera(i).name for i in range(model.ncam)]
+    camera = "overview" if "overview" in cameras else -1
+    data, pictures = mujoco.MjData(model), []
+    with renderer:
+        for i in np.arange(0, len(frames), rate / FPS).astype(int):
+            data.qpos[:] = frames[i]
+            mujoco.mj_forward(model, data)
+            renderer.update_scene(data, camera=camera)
+            pictures.append(renderer.render().copy())
+    return pictures
+
+
+def side_by_side(films: dict[str, list[np.ndarray]]) -> list[np.ndarray]:
+    """Several films in one, each under its name; those that end first stand still."""
+    length = max(map(len, films.values()))
+    columns = [
+        [_named(pictures[min(i, len(pictures) - 1)], name) for i in range(length)]
+        for name, pictures in films.items()
+    ]
+    return [np.concatenate(row, axis=1) for row in zip(*columns, strict=True)]
+
+
+def _named(picture: np.ndarray, name: str) -> np.ndarray:
+    image = Image.fromarray(picture)
+    ImageDraw.Draw(image).text((12, 10), name, fill="black", font_size=20)
+    return np.asarray(image)
+
+
+def save_stills(path: Path, pictures: list[np.ndarray]) -> None:
+    """Six moments in one picture."""
+    moments = [pictures[int(i)] for i in np.linspace(0, len(pictures) - 1, 6)]
+    rows = [np.concatenate(moments[:3], axis=1), np.concatenate(moments[3:], axis=1)]
+    Image.fromarray(np.concatenate(rows)).save(path)
+
+
+def save_film(path: Path, pictures: Iterable[np.ndarray]) -> bool:
+    """Write an MP4; False (and a sentence) where that is not possible."""
+    try:
+        import imageio.v2 as imageio  # noqa: PLC0415
+
+        with warnings.catch_warnings():
+            # JAX warns of every fork; this child starts ffmpeg at once
+            warnings.simplefilter("ignore", RuntimeWarning)
+            imageio.mimwrite(path, list(pictures), fps=FPS, macro_block_size=1)
+    except (ImportError, OSError, ValueError) as error:
+        print(f"no {path.name} ({error})")
+        return False
+    return True
+
+
+def save(stem: Path, pictures: list[np.ndarray]) -> None:
+    """Write `STEM.png` and, where ffmpeg is there, `STEM.mp4`; nothing if there are no pictures."""
+    if pictures:
+        save_stills(stem.with_suffix(".png"), pictures)
+        save_film(stem.with_suffix(".mp4"), pictures)

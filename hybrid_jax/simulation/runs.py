@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: MIT
+"""Whole runs in C MuJoCo: one plan, one scene, or many scenes at once."""
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+
+from hybrid_jax.keys import fold_in
+from hybrid_jax.planner.records import Planner, PlanResult
+from hybrid_jax.simulation.disturbances import CALM, Disturbance, disturbed_model
+from hybrid_jax.simulation.driving import Planning, drive
+from hybrid_jax.simulation.engines import HostEngine
+from hybrid_jax.simulation.execution import Ending, Execution, ExecutionConfig
+from hybrid_jax.simulation.plant import Plant, Touch
+from hybrid_jax.simulation.sensing import SensedCell, sense_cell
+from hybrid_jax.simulation.sorting import ObjectReport, Sorting, in_tray
+from hybrid_jax.skills.task import Task, sample_scene
+from hybrid_jax.types import Workcell
+
+
+@dataclass(frozen=True)
+class SortingReport:
+    """What became of a run."""
+
+    seed: int
+    reports: list[ObjectReport]
+    """Of each object."""
+    touches: list[Touch]
+    """Contacts that should not have been."""
+    frames: np.ndarray
+    """`[frame, nq]` one for each tick of the execution."""
+    seconds: float
+    """Simulated [s]."""
+
+    @property
+    def success(self) -> bool:
+        """Every object lies in its tray, and nothing else was touched."""
+        return all(report.success for report in self.reports) and not self.touches
+
+
+@dataclass(frozen=True)
+class ExecutionReport:
+    """What became of one plan."""
+
+    ending: Ending
+    placed: bool
+    """The object lies in its tray, at rest."""
+    touches: list[Touch]
+    """Contacts that should not have been."""
+    object_poses: np.ndarray
+    """`[object, 7]` where every object lies afterwards."""
+    frames: np.ndarray
+    """`[frame, nq]` one for each tick."""
+    seconds: float
+    """Simulated [s]."""
+
+    @property
+    def success(self) -> bool:
+        """Placed, and nothing else touched."""
+        return self.placed and not self.touches
+
+
+def planning(
+    planner: Planner, plan_batch: Callable[..., list[PlanResult]], seed: int
+) -> Planning:
+    """A planner as those who drive runs ask it: every batch gets a random key of its own."""
+    key, numbers = jax.random.key(seed), itertools.count()
+    return lambda tasks: plan_batch(planner, tasks, key=fold_in(key, next(numbers)))
+
+
+def ticks(sensed: SensedCell, config: ExecutionConfig) -> int:
+    """Physics steps between two looks."""
+    return max(1, round(config.tick / sensed.model.opt.timestep))
+
+
+def sort_scenes(
+    cell: Workcell,
+    plan: Planning,
+    seeds: Sequence[int],
+    names: Sequence[str] | None = None,
+    disturbance: Disturbance = CALM,
+    config: ExecutionConfig = ExecutionConfig(),
+    progress: Callable[[int, float], None] = lambda ended, seconds: None,
+) -> list[SortingReport]:
+    """Sort the objects of random scenes, all scenes side by side.
+
+    Args:
+        cell: with task data.
+        plan: makes the plans.
+        seeds: of the scenes.
+        names: objects to sort, in the order in which they are tried; all if None.
+        disturbance: what differs from what the planner is told.
+        config: times and thresholds.
+        progress: is told how many runs have ended, and the simulated time of all.
+    """
+    sensed = sense_cell(cell)
+    model, names = disturbed_model(sensed.model, cell, disturbance), list(names or _names(cell))
+    tick = ticks(sensed, config)
+    plants = [Plant(sensed, sample_scene(cell, seed), tick, model) for seed in seeds]
+    runs = [
+        Sorting(plant, names, seed, disturbance, config).run()
+        for plant, seed in zip(plants, seeds, strict=True)
+    ]
+    found = drive(runs, HostEngine(sensed), plan, progress)
+    return [
+        SortingReport(seed, reports, plant.touches, np.stack(plant.frames), plant.time)
+        for seed, reports, plant in zip(seeds, found, plants, strict=True)
+    ]
+
+
+def _names(cell: Workcell) -> list[str]:
+    return [spec.name for spec in cell.source.task.objects]
+
+
+def sort_scene(
+    cell: Workcell, plan: Planning, seed: int, names: Sequence[str] | None = None
+) -> SortingReport:
+    """Sort the objects of one random scene; see `sort_scenes`."""
+    return sort_scenes(cell, plan, [seed], names)[0]
+
+
+def execute(
+    cell: Workcell, task: Task, plan: PlanResult, config: ExecutionConfig = ExecutionConfig()
+) -> ExecutionReport:
+    """Carry out one plan in the scene of its task.
+
+    Raises:
+        ValueError: the plan holds no trajectory, or starts elsewhere than at home.
+        BlownUp: the simulation left the numbers that mean something.
+    """
+    sensed = sense_cell(cell)
+    plant = Plant(sensed, task.object_poses, ticks(sensed, config))
+    execution = Execution(plant, task, plan.phases, config)
+    ending = drive([execution.run()], HostEngine(sensed))[0]
+    return ExecutionReport(
+        ending, in_tray(plant, task.object_name), plant.touches, plant.objects(),
+        np.stack(plant.frames), plant.time,
+    )  # fmt: skip

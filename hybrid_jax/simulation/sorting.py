@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: MIT
+"""Sort all objects of a cell into their trays: plan, carry out, look, and try again."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from hybrid_jax.simulation.disturbances import CALM, Disturbance, measured, push
+from hybrid_jax.simulation.execution import Ending, Execution, ExecutionConfig
+from hybrid_jax.simulation.plant import BlownUp, Plan, Plant, Steps
+from hybrid_jax.skills.task import handling_task
+from hybrid_jax.types import Source, Status
+
+LEANING = np.radians(15.0)
+"""An object that is tilted by more than this cannot be gripped from above [rad]."""
+
+
+@dataclass
+class ObjectReport:
+    """What became of one object."""
+
+    name: str
+    success: bool = False
+    """It lies in its tray, at rest, and nothing that should not be touched was touched."""
+    cause: str = "no plan"
+    """Why not; empty for a success."""
+    detail: str = ""
+    """The sentence to it."""
+    tries: int = 0
+    """Plans that were carried out."""
+    planning_s: float = 0.0
+    """Time of all plans [s]."""
+    cycle_s: float = 0.0
+    """Simulated time [s]."""
+    shares: dict[str, float] = field(default_factory=dict)
+    """Share of the last plan's points from each source."""
+
+
+class Sorting:
+    """One run: all objects of a scene."""
+
+    def __init__(
+        self,
+        plant: Plant,
+        names: list[str],
+        seed: int,
+        disturbance: Disturbance = CALM,
+        config: ExecutionConfig = ExecutionConfig(),
+    ):
+        """Args:
+            plant: the cell, with the arm at home.
+            names: objects, in the order in which they are tried.
+            seed: of the disturbances.
+            disturbance: what differs from what the planner is told.
+            config: times and thresholds.
+        """
+        self.plant, self.disturbance, self.config = plant, disturbance, config
+        self.rng = np.random.default_rng(seed)
+        self.reports = {name: ObjectReport(name) for name in names}
+        self.pushed = names[self.rng.integers(len(names))] if disturbance.push else None
+        self.grasps = dict.fromkeys(names, 0)
+
+    def run(self) -> Steps:
+        """Until every object was carried or given up; returns the reports."""
+        try:
+            yield from self._all()
+        except BlownUp as error:
+            for report in self.reports.values():
+                report.success, report.cause, report.detail = False, "numerical", str(error)
+        else:
+            for report in self.reports.values():
+                self._judge(report)
+        return list(self.reports.values())
+
+    def _all(self) -> Steps:
+        """Whoever finds no plan waits until another object is out of the way."""
+        waiting = list(self.reports)
+        while waiting:
+            left = []
+            for name in waiting:
+                planned = yield from self._one(self.reports[name])
+                if not planned:
+                    left.append(name)
+            if len(left) == len(waiting):
+                left = [name for name in left if self._next_grasp(name)]
+            waiting = left
+
+    def _next_grasp(self, name: str) -> bool:
+        """Take another grasp for an object; False if there is none left."""
+        self.grasps[name] += 1
+        return self.grasps[name] < len(self.plant.spec.object(name).grasps)
+
+    def _one(self, report: ObjectReport) -> Steps:
+        """Bring one object to its tray; False if there is no plan for it now."""
+        began, touched = self.plant.time, len(self.plant.touches)
+        planned = False
+        while report.tries < self.config.tries:
+            execution = yield from self._plan(report)
+            if execution is None:
+                break
+            planned = True
+            report.tries += 1
+            ending = yield from execution.run()
+            if ending is Ending.DONE:
+                self.plant.travelled.clear()
+                report.cause = ""
+                break
+            report.cause, report.detail = ending.value, ""
+            if ending is Ending.MISSED:
+                yield from self._retreat()
+                self.grasps[report.name] = report.tries % len(
+                    self.plant.spec.object(report.name).grasps
+                )
+            elif ending is not Ending.MOVED:
+                break
+        if self.plant.travelled:
+            yield from self._retreat()
+        if len(self.plant.touches) > touched:
+            report.cause = "collision"
+            report.detail = "; ".join(map(str, self.plant.touches[touched:]))
+        report.cycle_s += self.plant.time - began
+        return planned
+
+    def _plan(self, report: ObjectReport) -> Steps:
+        """An execution of a plan from where everything is now; None if there is no plan.
+
+        Where there is none from where the arm stands, it goes back and asks again.
+        """
+        index = self.plant.layout.object_names.index(report.name)
+        tilt = Rotation.from_quat(self.plant.objects()[index, 3:], scalar_first=True)
+        if np.arccos(np.clip(tilt.as_matrix()[2, 2], -1, 1)) > LEANING:
+            report.detail = "the object no longer stands upright"
+            return None
+        while True:
+            poses = measured(self.plant.objects(), self.disturbance, self.rng)
+            task = handling_task(
+                self.plant.sensed.cell, report.name, poses,
+                start=self.plant.target, grasp=self.grasps[report.name],
+            )  # fmt: skip
+            answer = yield Plan(task)
+            report.planning_s += answer.seconds
+            result = answer.result
+            if result.status is Status.OK:
+                shares = result.shares
+                report.shares = {source.name: round(shares[source], 3) for source in Source}
+                execution = Execution(self.plant, task, result.phases, self.config)
+                if self.pushed == report.name:
+                    execution.disturb = self._push
+                return execution
+            report.detail = f"{result.status.name}: {result.detail}"
+            if not self.plant.travelled:
+                return None
+            yield from self._retreat()
+
+    def _push(self, index: int) -> None:
+        """Somebody moves the object that the arm reaches for."""
+        if push(self.plant, index, self.disturbance.push, self.rng):
+            self.pushed = None
+
+    def _retreat(self) -> Steps:
+        """Back home along everything that was travelled, with open fingers."""
+        plant = self.plant
+        q = np.concatenate(plant.travelled)[::-1]
+        moving = np.abs(np.diff(q, axis=0, prepend=q[:1])).max(axis=1) > 0
+        q = np.concatenate([q[:1], q[moving], np.repeat(q[-1:], plant.tick, axis=0)])
+        velocity = np.gradient(q, plant.dt, axis=0)
+        allowed = np.ones((len(plant.sensed.movers), len(plant.sensed.things)), bool)
+        allowed[:2] = False
+        for chunk in plant.chunks(q, velocity, plant.spec.gripper.open):
+            yield from plant.step(chunk, allowed)
+        plant.travelled.clear()
+
+    def _judge(self, report: ObjectReport) -> None:
+        """Say at the end whether an object lies in its tray, and why not."""
+        lies = in_tray(self.plant, report.name)
+        if not report.cause and not lies:
+            report.cause, report.detail = "wrong place", "it does not lie in its tray at the end"
+        report.success = lies and not report.cause
+
+
+def in_tray(plant: Plant, name: str) -> bool:
+    """Does an object lie in its tray, at rest?"""
+    tray, model = plant.spec.tray(plant.spec.object(name).tray), plant.model
+    body, index = model.body(tray.name).id, plant.layout.object_names.index(name)
+    local = plant.data.xmat[body].reshape(3, 3).T @ (
+        plant.data.xpos[plant.layout.object_bodies[index]] - plant.data.xpos[body]
+    )
+    inside = (np.abs(local[:2]) <= tray.half_size).all()
+    return bool(
+        inside and -0.01 < local[2] - tray.floor < 0.06 and plant.object_speed(index) < 0.05
+    )
