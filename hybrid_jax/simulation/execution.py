@@ -10,7 +10,7 @@ import numpy as np
 from hybrid_jax.planner.scenes import placed_pose
 from hybrid_jax.simulation.plant import Plant, Steps
 from hybrid_jax.simulation.sensing import FINGERS, OBJECTS
-from hybrid_jax.skills.task import Task, yaw_of
+from hybrid_jax.skills.task import Task, object_in_tool, yaw_of
 from hybrid_jax.types import Trajectory
 
 
@@ -34,6 +34,10 @@ class ExecutionConfig:
     """An object was moved when it is further than this from where it was planned for [m], ..."""
     turned_by: float = 0.05
     """... or turned by more than this [rad]."""
+    following_error: float = 0.02
+    """A joint that is further than this from its target on the way to a grasp is blocked [rad]."""
+    grasp_error: float = 0.025
+    """A grasp is missed when the object is further than this from where it should be in it [m]."""
     near: float = 0.03
     """A held object may touch its support where it is this close to where it lies on it [m]."""
     switch_time: float = 0.3
@@ -49,6 +53,7 @@ class Ending(enum.Enum):
 
     DONE = "carried out"
     MOVED = "an object moved on the way to the grasp"
+    BLOCKED = "something stood in the arm's way"
     MISSED = "missed grasp"
     DROPPED = "drop in transfer"
     DROPPED_AT_SWITCH = "drop at a switch"
@@ -100,7 +105,7 @@ class Execution:
             else:
                 if ever:
                     yield from self.open()
-                watch = (lambda time: None) if ever else self.moved
+                watch = (lambda time: None) if ever else self.hindered
                 ending = yield from self.follow(trajectory, self.gripper.open, watch)
             if ending:
                 if held:
@@ -157,8 +162,10 @@ class Execution:
     def gripped(self) -> bool:
         """Is the object between the pads?"""
         spec = self.plant.spec.object(self.task.object_name)
+        wanted = object_in_tool(spec, self.task.grasp)[:3]
+        close = np.linalg.norm(self.gripped_at - wanted) < self.config.grasp_error
         between = self.plant.opening() > spec.grip / 2
-        return self.config.weld or bool(between and self.plant.pads_on(self.object))
+        return self.config.weld or bool(close and between and self.plant.pads_on(self.object))
 
     def lost(self, time: float) -> Ending | None:
         """Does the object no longer move with the tool?"""
@@ -172,8 +179,10 @@ class Execution:
         at_switch = ((since >= 0) & (since < self.config.switch_time)).any()
         return Ending.DROPPED_AT_SWITCH if at_switch else Ending.DROPPED
 
-    def moved(self, time: float) -> Ending | None:
-        """Does an object lie elsewhere than it was planned for?"""
+    def hindered(self, time: float) -> Ending | None:
+        """Is the arm blocked, or does an object lie elsewhere than it was planned for?"""
+        if self.plant.following_error() > self.config.following_error:
+            return Ending.BLOCKED
         now = self.plant.objects()
         away = np.linalg.norm(now[:, :3] - self.seen[:, :3], axis=1)
         turn = np.array([yaw_of(a) - yaw_of(b) for a, b in zip(now, self.seen, strict=True)])

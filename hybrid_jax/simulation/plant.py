@@ -152,6 +152,10 @@ class Plant:
         """Of the narrower finger [m]."""
         return min(self.data.qpos[self.model.jnt_qposadr[j]] for j in self.layout.fingers)
 
+    def following_error(self) -> float:
+        """How far the arm is from its target [rad]."""
+        return float(np.abs(self.data.qpos[list(self.layout.qpos)] - self.target).max())
+
     def set_object(self, index: int, pose: np.ndarray) -> None:
         """Put an object elsewhere, at rest: a disturbance."""
         address = 1 + self.layout.object_qpos[index]

@@ -9,9 +9,12 @@ from scipy.spatial.transform import Rotation
 from hybrid_jax.simulation.disturbances import CALM, Disturbance, measured, push
 from hybrid_jax.simulation.execution import Ending, Execution, ExecutionConfig
 from hybrid_jax.simulation.plant import BlownUp, Plan, Plant, Steps
+from hybrid_jax.simulation.sensing import FINGERS, OBJECTS
 from hybrid_jax.skills.task import handling_task
 from hybrid_jax.types import Source, Status
 
+AGAIN = Ending.MOVED, Ending.BLOCKED, Ending.MISSED
+"""Endings after which the object is tried again."""
 LEANING = np.radians(15.0)
 """An object that is tilted by more than this cannot be gripped from above [rad]."""
 
@@ -89,84 +92,82 @@ class Sorting:
     def _next_grasp(self, name: str) -> bool:
         """Take another grasp for an object; False if there is none left."""
         self.grasps[name] += 1
-        return self.grasps[name] < len(self.plant.spec.object(name).grasps)
+        left = self.grasps[name] < len(self.plant.spec.object(name).grasps)
+        self.grasps[name] *= left
+        return left
 
     def _one(self, report: ObjectReport) -> Steps:
-        """Bring one object to its tray; False if there is no plan for it now."""
+        """Bring one object to its tray, or give it up; False if there is no plan for it now."""
         began, touched = self.plant.time, len(self.plant.touches)
-        planned = False
-        while report.tries < self.config.tries:
+        ended = False
+        while not ended:
             execution = yield from self._plan(report)
             if execution is None:
                 break
-            planned = True
             report.tries += 1
             ending = yield from execution.run()
+            report.cause, report.detail = ending.value, ""
             if ending is Ending.DONE:
                 self.plant.travelled.clear()
                 report.cause = ""
-                break
-            report.cause, report.detail = ending.value, ""
+            else:
+                yield from self._retreat(report.name)
+            ended = ending not in AGAIN or report.tries == self.config.tries
             if ending is Ending.MISSED:
-                yield from self._retreat()
-                self.grasps[report.name] = report.tries % len(
-                    self.plant.spec.object(report.name).grasps
-                )
-            elif ending is not Ending.MOVED:
-                break
-        if self.plant.travelled:
-            yield from self._retreat()
+                self._next_grasp(report.name)
         if len(self.plant.touches) > touched:
             report.cause = "collision"
             report.detail = "; ".join(map(str, self.plant.touches[touched:]))
         report.cycle_s += self.plant.time - began
-        return planned
+        return ended
 
     def _plan(self, report: ObjectReport) -> Steps:
-        """An execution of a plan from where everything is now; None if there is no plan.
-
-        Where there is none from where the arm stands, it goes back and asks again.
-        """
-        index = self.plant.layout.object_names.index(report.name)
-        tilt = Rotation.from_quat(self.plant.objects()[index, 3:], scalar_first=True)
-        if np.arccos(np.clip(tilt.as_matrix()[2, 2], -1, 1)) > LEANING:
+        """An execution of a plan from where everything is now; None if there is no plan."""
+        if self._leans(report.name):
             report.detail = "the object no longer stands upright"
             return None
-        while True:
-            poses = measured(self.plant.objects(), self.disturbance, self.rng)
-            task = handling_task(
-                self.plant.sensed.cell, report.name, poses,
-                start=self.plant.target, grasp=self.grasps[report.name],
-            )  # fmt: skip
-            answer = yield Plan(task)
-            report.planning_s += answer.seconds
-            result = answer.result
-            if result.status is Status.OK:
-                shares = result.shares
-                report.shares = {source.name: round(shares[source], 3) for source in Source}
-                execution = Execution(self.plant, task, result.phases, self.config)
-                if self.pushed == report.name:
-                    execution.disturb = self._push
-                return execution
+        poses = measured(self.plant.objects(), self.disturbance, self.rng)
+        task = handling_task(
+            self.plant.sensed.cell, report.name, poses,
+            start=self.plant.target, grasp=self.grasps[report.name],
+        )  # fmt: skip
+        answer = yield Plan(task)
+        report.planning_s += answer.seconds
+        result = answer.result
+        if result.status is not Status.OK:
             report.detail = f"{result.status.name}: {result.detail}"
-            if not self.plant.travelled:
-                return None
-            yield from self._retreat()
+            return None
+        shares = result.shares
+        report.shares = {source.name: round(shares[source], 3) for source in Source}
+        execution = Execution(self.plant, task, result.phases, self.config)
+        if self.pushed == report.name:
+            execution.disturb = self._push
+        return execution
+
+    def _leans(self, name: str) -> bool:
+        """Is an object tilted, so that it cannot be gripped from above?"""
+        index = self.plant.layout.object_names.index(name)
+        turn = Rotation.from_quat(self.plant.objects()[index, 3:], scalar_first=True)
+        return bool(turn.as_matrix()[2, 2] < np.cos(LEANING))
 
     def _push(self, index: int) -> None:
         """Somebody moves the object that the arm reaches for."""
         if push(self.plant, index, self.disturbance.push, self.rng):
             self.pushed = None
 
-    def _retreat(self) -> Steps:
-        """Back home along everything that was travelled, with open fingers."""
-        plant = self.plant
+    def _retreat(self, name: str) -> Steps:
+        """Back home along everything that was travelled, with open fingers.
+
+        From there the next approach comes from above again, wherever the object lies by then.
+        """
+        plant, index = self.plant, self.plant.layout.object_names.index(name)
         q = np.concatenate(plant.travelled)[::-1]
         moving = np.abs(np.diff(q, axis=0, prepend=q[:1])).max(axis=1) > 0
         q = np.concatenate([q[:1], q[moving], np.repeat(q[-1:], plant.tick, axis=0)])
         velocity = np.gradient(q, plant.dt, axis=0)
         allowed = np.ones((len(plant.sensed.movers), len(plant.sensed.things)), bool)
-        allowed[:2] = False
+        allowed[:OBJECTS] = False
+        allowed[FINGERS, index] = True
         for chunk in plant.chunks(q, velocity, plant.spec.gripper.open):
             yield from plant.step(chunk, allowed)
         plant.travelled.clear()

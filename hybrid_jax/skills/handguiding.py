@@ -38,13 +38,17 @@ class HandConfig:
     tremor: float = 0.0003
     """Trembling at about 8 Hz [m]."""
     via_error: float = 0.012
-    """How exactly via points are met [m]."""
+    """How exactly via points are met [m], ..."""
+    care: float = 0.06
+    """... as a share of the way to the nearer end where that is less."""
 
 
 def _intended(points: list[RigidTransform], config: HandConfig, rng) -> tuple[np.ndarray, list]:
     """Times and poses of the intended motion: a spline through the points, uneven speed."""
     positions = np.array([p.translation for p in points])
-    positions[1:-1] += rng.normal(scale=config.via_error, size=positions[1:-1].shape)
+    ends = np.linalg.norm(positions[1:-1, None] - positions[[0, -1]], axis=2).min(axis=1)
+    error = np.minimum(config.via_error, config.care * ends)[:, None]
+    positions[1:-1] += error * rng.normal(size=positions[1:-1].shape)
     knots = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
     knots /= knots[-1]
     path = CubicSpline(knots, positions, bc_type="natural")
@@ -102,6 +106,7 @@ def main(
     robot: str = "Kinova Gen3",
     seed: int = 0,
     out: Path | None = None,
+    names: tuple[str, ...] = (),
 ) -> None:
     """Record the shipped demonstrations anew.
 
@@ -110,9 +115,12 @@ def main(
         robot: kind of robot, as the recordings are to say.
         seed: seed of the hand's noise.
         out: folder to write to; the shipped one if none is given.
+        names: demonstrations to write; all if none is named.
     """
     folder = out or demonstrations_folder()
     for demo in record(load_workcell(workcell), robot, seed=seed):
+        if names and demo.name not in names:
+            continue
         path = save_demonstration(folder, demo, replace=True)
         print(f"{demo.name}: {demo.times[-1]:.1f} s, {path}")
 

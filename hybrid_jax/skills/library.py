@@ -25,7 +25,7 @@ MAX_SKILLS = 32
 class SkillConfig:
     """How skills are judged and mapped."""
 
-    map: str = "aligned"
+    map: str = "late_exact"
     """Map to new ends, a key of `mapping.MAPS`."""
     distance: str = "screw"
     """Distance of features, a key of `mapping.BETAS`."""

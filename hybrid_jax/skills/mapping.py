@@ -18,6 +18,10 @@ LENGTH_SCALE = 0.1
 """Metres that count as one radian in the arc length of a path."""
 
 
+LATE = 0.75
+"""Share of the way from which on `late_exact` repeats the demonstration."""
+
+
 def align_signs(poses: Float[Array, "point 8"]) -> Float[Array, "point 8"]:
     """Choose the signs of a path's dual quaternions so that they vary continuously."""
     same = jnp.sum(poses[1:, :4] * poses[:-1, :4], axis=-1) >= 0
@@ -128,6 +132,22 @@ def aligned(poses: Array, start: Array, goal: Array) -> Float[Array, "point 8"]:
     """
     poses = align_signs(poses)
     move = _midpoint(dq.mul(start, dq.conj(poses[0])), dq.mul(goal, dq.conj(poses[-1])))
+    return _spread(poses, start, goal, move, arc_phase(poses))
+
+
+def late_exact(poses: Array, start: Array, goal: Array) -> Float[Array, "point 8"]:
+    """Like `aligned`, but the last quarter of the way is the demonstration's, seen from the goal.
+
+    So an approach from above stays one. The demonstration is carried to the goal, and what is left
+    over at the start is spread over the first three quarters.
+    """
+    poses = align_signs(poses)
+    move = dq.mul(goal, dq.conj(poses[-1]))
+    return _spread(poses, start, goal, move, jnp.minimum(1.0, arc_phase(poses) / LATE))
+
+
+def _spread(poses: Array, start: Array, goal: Array, move: Array, s: Array) -> Array:
+    """`move` applied to a demonstration, and what is left over at its ends spread by `s`."""
     here, first, last = move[:4], dq.mul(move, poses[0]), dq.mul(move, poses[-1])
     f = _residual(first[:4], start[:4])
     half, axis = _between(f, _residual(last[:4], goal[:4]))
@@ -135,7 +155,7 @@ def aligned(poses: Array, start: Array, goal: Array) -> Float[Array, "point 8"]:
         _pure(dq.position(want) - dq.quat_rotate(here, dq.position(demo)))
         for want, demo in ((start, poses[0]), (goal, poses[-1]))
     )
-    s = arc_phase(poses)[:, None]
+    s = s[:, None]
     terms = jnp.concatenate([poses[:, 4:], poses[:, :4], s * poses[:, :4]], axis=1)
     waves = ((jnp.cos(s * half), f), (jnp.sin(s * half), dq.quat_mul(f, axis)))
     return sum(
@@ -144,7 +164,7 @@ def aligned(poses: Array, start: Array, goal: Array) -> Float[Array, "point 8"]:
     )
 
 
-MAPS = {"aligned": aligned, "ugp_blend": ugp_blend, "ugp_goal": ugp_goal}
+MAPS = {"aligned": aligned, "late_exact": late_exact, "ugp_blend": ugp_blend, "ugp_goal": ugp_goal}
 """Maps by the name used in configurations."""
 
 

@@ -61,7 +61,8 @@ def handling_scripts(cell: Workcell) -> Iterator[Script]:
         aside = shifted(before, x=-0.03, z=0.02)
         middle = (lifted.translation + above.translation) / 2 + [0, 0, 0.05]
         over = RigidTransform.from_components(middle, above.rotation)
-        yield Script(f"pick_{kind}", False, [start, aside, before, grasp], f"reach for a {kind}")
+        down = [before, shifted(grasp, z=0.06), grasp]
+        yield Script(f"pick_{kind}", False, [start, aside, *down], f"reach for a {kind}")
         yield Script(
             f"transfer_{kind}", True, [lifted, over, above], f"carry a {kind} over its tray"
         )
