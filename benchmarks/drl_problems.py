@@ -12,9 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from hybrid_jax import artifacts
-from hybrid_jax.agents.segments import Segments, take
+from hybrid_jax.agents.segments import Segments, free_pairs, join, take
 from hybrid_jax.feasibility.building import build_feasibility_map
-from hybrid_jax.kernels.collision import clearance
 from hybrid_jax.planner.harvest import harvest
 from hybrid_jax.planner.lfd import optimal_chooser
 from hybrid_jax.planner.loading import read_library
@@ -28,10 +27,6 @@ TRAINING, UNSEEN = 10_000, 120_000
 TRAINING_TASKS = 100
 HELD_OUT = 500
 """Segments of the test."""
-PAIRS = 4096
-"""Start/goal pairs of the whole work space."""
-ROOM = 0.01
-"""Clearance of the ends of these pairs [m]."""
 
 
 @pytree
@@ -44,11 +39,6 @@ class Problems:
     """Random pairs of free configurations, each in the scene of a training segment."""
     held_out: Segments
     """Infeasible segments of unseen tasks, all solvable."""
-
-
-def join(parts: list[Segments]) -> Segments:
-    """Several sets as one."""
-    return jax.tree.map(lambda *a: jnp.concatenate(a), *parts)
 
 
 def collect(cell: Workcell, scale: float, first: int, count: int) -> Segments:
@@ -81,32 +71,12 @@ def unseen(cell: Workcell, scale: float) -> Segments:
     return take(join(parts), slice(HELD_OUT))
 
 
-def pairs(cell: Workcell, scenes: Segments, count: int = PAIRS) -> Segments:
-    """Random start/goal pairs of the whole work space, free in the scene of a segment.
-
-    Every joint is within half a turn of home: further turns would only repeat poses.
-    """
-    rng, home = np.random.default_rng(0), np.asarray(cell.home)
-    low, high = np.asarray(cell.joint_limits, np.float32).T
-    low, high = np.maximum(low, home - np.pi), np.minimum(high, home + np.pi)
-    gap = jax.jit(jax.vmap(lambda scene, q: clearance(cell.replace(scene=scene), q)))
-    found, size = [], 0
-    while size < count:
-        index = rng.integers(0, scenes.start.shape[0], 4096)
-        scene = take(scenes, index).scene
-        ends = rng.uniform(low, high, (2, 4096, len(low))).astype(np.float32)
-        free = np.flatnonzero(np.all([gap(scene, q) > ROOM for q in ends], axis=0))
-        found.append(take(Segments(scene, *jnp.asarray(ends)), free))
-        size += len(free)
-    return take(join(found), slice(count))
-
-
 def draw(cell: Workcell) -> Problems:
     """All of them, from scratch."""
     # the scale is drawn from random configurations: any grid will do
     scale = float(build_feasibility_map(cell, SMOKE.map).manipulability_scale)
     training = collect(cell, scale, TRAINING, TRAINING_TASKS)
-    return Problems(training, pairs(cell, training), unseen(cell, scale))
+    return Problems(training, free_pairs(cell, training), unseen(cell, scale))
 
 
 def problems(cell: Workcell, file: Path | None) -> Problems:

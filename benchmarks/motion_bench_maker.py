@@ -20,9 +20,9 @@ import tyro
 
 import hybrid_jax as hj
 from benchmarks.mbm_cells import Problem, read_problems
-from benchmarks.ompl_rival import OmplPlanner
 from benchmarks.report import metric, write
 from hybrid_jax.planner.joints import JointMotionConfig, find_path, plan_joint_motion
+from hybrid_jax.planner.ompl_paths import OmplPlanner
 from hybrid_jax.planner.smoothing import densify
 from hybrid_jax.types import Status
 

@@ -48,7 +48,7 @@ def rejected(cell: Workcell, engine: Engine, task: Task, plan: PlanResult) -> in
 def ompl(learned: Learned) -> dict[str, Method]:
     """The rival, or nothing where it is not installed."""
     try:
-        from benchmarks.planning_rival import OmplTasks  # noqa: PLC0415
+        from hybrid_jax.planner.ompl_tasks import OmplTasks  # noqa: PLC0415
     except ImportError as error:
         print(f"{error.name} is not installed: its rows are left out "
               "(pip install 'hybrid_jax[bench]')")  # fmt: skip

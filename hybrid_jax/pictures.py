@@ -14,6 +14,7 @@ from matplotlib.colors import ListedColormap  # noqa: E402
 from hybrid_jax.feasibility.building import FeasibilityMap  # noqa: E402
 from hybrid_jax.feasibility.judging import Reason  # noqa: E402
 
+
 def draw_curves(
     path: Path, rows: list[dict], title: str, unit: str, names: tuple[str, ...]
 ) -> None:

@@ -4,7 +4,7 @@
 import functools
 import json
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import jax
 import jax.numpy as jnp
@@ -12,14 +12,15 @@ import numpy as np
 
 from hybrid_jax import artifacts, film, pictures
 from hybrid_jax.agents import controllers, dqn, joint, switching
-from hybrid_jax.agents.segments import Segments, refuse_infeasible
+from hybrid_jax.agents.segments import Segments, free_pairs, refuse_infeasible
 from hybrid_jax.checkpoints import train_agent
 from hybrid_jax.feasibility import building
 from hybrid_jax.feasibility.judging import Reason
 from hybrid_jax.planner import harvest
 from hybrid_jax.planner.lfd import optimal_chooser
-from hybrid_jax.planner.loading import load_planner, read_library, read_scale
+from hybrid_jax.planner.loading import load_bridger, load_planner, read_library, read_scale
 from hybrid_jax.planner.pipeline import plan_batch
+from hybrid_jax.planner.records import Planner
 from hybrid_jax.planner.switchdata import combined_phases
 from hybrid_jax.progress import Progress
 from hybrid_jax.runfolder import Run
@@ -29,9 +30,9 @@ from hybrid_jax.skills.segmentation import optimal_costs
 from hybrid_jax.skills.task import random_task
 from hybrid_jax.types import Source
 
-TRAINING_TASKS = 10_000
-"""Seed of the first training task; evaluation uses seeds below."""
-HELD_OUT_TASKS = 20_000
+TRAINING_TASKS = 1_000_000
+"""Seed of the first training task; the studies use seeds far below."""
+HELD_OUT_TASKS = 2_000_000
 """Seed of the first held-out task."""
 
 Stage = Callable[[Run, bool], dict]
@@ -155,6 +156,23 @@ def run_drl(run: Run, quiet: bool) -> dict:
         "held_out_single": round(single, 3),
         "held_out_best_of_16": round(best, 3),
     }
+
+
+def run_alone(run: Run, quiet: bool) -> dict:
+    """A joint agent of the whole work space, with the same budget: the study's method `drl`."""
+    config, cell = run.preset.joint, run.cell
+    world = joint.make_world(cell, free_pairs(cell, training_segments(run, quiet)), config)
+    net = joint.make_net(cell, config)
+    state = train_agent(run, "alone", world, net, config.training, quiet)
+    run.save("alone.npz", "joint agent", state.policy())
+    return {"steps": config.training.steps}
+
+
+def load_alone(run: Run, planner: Planner) -> Planner:
+    """The planner with the joint agent of the whole work space, which is trained if need be."""
+    if not run.finished("alone"):
+        run_alone(run, quiet=False)
+    return replace(planner, bridge=load_bridger(run, "alone.npz"))
 
 
 def combined_problems(run: Run, quiet: bool) -> switching.Combined:

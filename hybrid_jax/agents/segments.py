@@ -10,6 +10,11 @@ from hybrid_jax.errors import SegmentError
 from hybrid_jax.kernels.collision import clearance
 from hybrid_jax.types import Scene, Workcell, pytree
 
+PAIRS = 4096
+"""Start/goal pairs of the whole work space."""
+ROOM = 0.01
+"""Clearance of the ends of these pairs [m]."""
+
 
 @pytree
 class Segments:
@@ -31,6 +36,31 @@ def single_segment(scene: Scene, start, goal) -> Segments:
 def take(segments: Segments, index) -> Segments:
     """Some of the segments."""
     return jax.tree.map(lambda a: a[index], segments)
+
+
+def join(parts: list[Segments]) -> Segments:
+    """Several sets as one."""
+    return jax.tree.map(lambda *a: jnp.concatenate(a), *parts)
+
+
+def free_pairs(cell: Workcell, scenes: Segments, count: int = PAIRS) -> Segments:
+    """Random start/goal pairs of the whole work space, free in the scene of a segment.
+
+    Every joint is within half a turn of home: further turns would only repeat poses.
+    """
+    rng, home = np.random.default_rng(0), np.asarray(cell.home)
+    low, high = np.asarray(cell.joint_limits, np.float32).T
+    low, high = np.maximum(low, home - np.pi), np.minimum(high, home + np.pi)
+    gap = jax.jit(jax.vmap(lambda scene, q: clearance(cell.replace(scene=scene), q)))
+    found, size = [], 0
+    while size < count:
+        index = rng.integers(0, scenes.start.shape[0], PAIRS)
+        scene = take(scenes, index).scene
+        ends = rng.uniform(low, high, (2, PAIRS, len(low))).astype(np.float32)
+        free = np.flatnonzero(np.all([gap(scene, q) > ROOM for q in ends], axis=0))
+        found.append(take(Segments(scene, *jnp.asarray(ends)), free))
+        size += len(free)
+    return take(join(found), slice(count))
 
 
 @jax.jit

@@ -54,6 +54,14 @@ def learned_switcher(run: Run) -> Switcher:
     return switching.make_switcher(net, policy, config)
 
 
+def load_bridger(run: Run, name: str = "drl.npz") -> joint.Bridger:
+    """A trained joint agent."""
+    cell, config = run.cell, run.preset.joint
+    net = joint.make_net(cell, config)
+    policy = load_policy(run, name, "joint agent", net, joint.observation_length(cell, config))
+    return joint.make_bridger(cell, net, policy, config)
+
+
 def load_chooser(run: Run) -> SkillChooser:
     """The task planner that the run's preset asks for: exact, or the trained controllers."""
     if run.preset.task_planner == "exact":
@@ -77,14 +85,11 @@ def load_planner(run: Run, *, switch: str = "learned") -> Planner:
                 f"{run.folder}"
             )
     preset, cell = run.preset, run.cell
-    net = joint.make_net(cell, preset.joint)
-    size = joint.observation_length(cell, preset.joint)
-    policy = load_policy(run, "drl.npz", "joint agent", net, size)
     return Planner(
         cell=cell,
         library=read_library(run.skills),
         choose=load_chooser(run),
-        bridge=joint.make_bridger(cell, net, policy, preset.joint),
+        bridge=load_bridger(run),
         switch=learned_switcher(run) if switch == "learned" else optimal_switcher(preset.switch),
         scale=read_scale(run),
         config=preset.planner,

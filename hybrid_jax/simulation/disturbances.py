@@ -31,9 +31,7 @@ class Disturbance:
 CALM = Disturbance()
 """Everything is as the planner was told."""
 
-DISTURBED = Disturbance(
-    position=0.005, yaw=np.radians(3.0), friction=0.7, mass=1.5, push=0.03
-)
+DISTURBED = Disturbance(position=0.005, yaw=np.radians(3.0), friction=0.7, mass=1.5, push=0.03)
 """The study's disturbances, all at once."""
 
 
@@ -52,9 +50,7 @@ def disturbed_model(
     return model
 
 
-def measured(
-    poses: np.ndarray, disturbance: Disturbance, rng: np.random.Generator
-) -> np.ndarray:
+def measured(poses: np.ndarray, disturbance: Disturbance, rng: np.random.Generator) -> np.ndarray:
     """Object poses `[object, 7]` as a camera would tell them."""
     noise = rng.normal(size=(len(poses), 3))
     seen = np.array(poses, float)

@@ -87,8 +87,8 @@ class Execution:
         self.object = plant.layout.object_names.index(task.object_name)
         self.gripper = plant.spec.gripper
         self.seen = plant.objects()
-        self.disturb: Callable[[int], None] = lambda index: None
-        """Called half way to the grasp with the object that is reached for."""
+        self.disturb: Callable[[int], None] | None = None
+        """Called once, half way to the grasp, with the object that is reached for."""
         self.gripped_at = np.zeros(3)
 
     def run(self) -> Steps:
@@ -120,8 +120,6 @@ class Execution:
         times = np.arange(plant.dt, trajectory.times[-1] + self.config.dwell, plant.dt)
         for chunk in plant.chunks(*_targets(trajectory, times), grip):
             yield from plant.step(chunk, self.allowed(grip))
-            if now < trajectory.times[-1] / 2 <= now + self.config.tick and trajectory is self.phases[0]:
-                self.disturb(self.object)
             now += len(chunk.targets) * plant.dt
             ending = watch(now)
             if ending:
@@ -181,6 +179,9 @@ class Execution:
 
     def hindered(self, time: float) -> Ending | None:
         """Is the arm blocked, or does an object lie elsewhere than it was planned for?"""
+        if self.disturb and time > self.phases[0].times[-1] / 2:
+            self.disturb(self.object)
+            self.disturb = None
         if self.plant.following_error() > self.config.following_error:
             return Ending.BLOCKED
         now = self.plant.objects()

@@ -63,9 +63,7 @@ class ExecutionReport:
         return self.placed and not self.touches
 
 
-def planning(
-    planner: Planner, plan_batch: Callable[..., list[PlanResult]], seed: int
-) -> Planning:
+def planning(planner: Planner, plan_batch: Callable[..., list[PlanResult]], seed: int) -> Planning:
     """A planner as those who drive runs ask it: every batch gets a random key of its own."""
     key, numbers = jax.random.key(seed), itertools.count()
     return lambda tasks: plan_batch(planner, tasks, key=fold_in(key, next(numbers)))

@@ -52,11 +52,11 @@ class Sorting:
         config: ExecutionConfig = ExecutionConfig(),
     ):
         """Args:
-            plant: the cell, with the arm at home.
-            names: objects, in the order in which they are tried.
-            seed: of the disturbances.
-            disturbance: what differs from what the planner is told.
-            config: times and thresholds.
+        plant: the cell, with the arm at home.
+        names: objects, in the order in which they are tried.
+        seed: of the disturbances.
+        disturbance: what differs from what the planner is told.
+        config: times and thresholds.
         """
         self.plant, self.disturbance, self.config = plant, disturbance, config
         self.rng = np.random.default_rng(seed)

@@ -7,10 +7,10 @@ from dataclasses import replace
 import jax
 import numpy as np
 
-from benchmarks.ompl_rival import OmplPlanner
 from hybrid_jax.planner.checking import CheckConfig, Engine
 from hybrid_jax.planner.finishing import time_path
 from hybrid_jax.planner.labelling import find_candidates
+from hybrid_jax.planner.ompl_paths import OmplPlanner
 from hybrid_jax.planner.records import Planner, PlanResult
 from hybrid_jax.planner.scenes import inside, phase_scene, segment_kinds, task_scenes
 from hybrid_jax.skills.task import Task

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""OMPL's RRT-Connect with a validity check of our choice (optional extra `bench`)."""
+"""OMPL's RRT-Connect with a validity check of our choice (optional extra `ompl`)."""
 
 import time
 from collections.abc import Callable

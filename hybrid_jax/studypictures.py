@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: MIT
+"""The handling study's chart: how often each method succeeds, and why it fails."""
+
+from collections import Counter
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt  # noqa: E402
+import numpy as np  # noqa: E402
+from scipy.stats import binomtest  # noqa: E402
+
+_COLOURS = plt.get_cmap("tab10").colors  # type: ignore[attr-defined]
+
+
+def _bars(ax, rows: list[dict], methods: list[str]) -> None:
+    """Full-task and per-object success with Wilson 95 % intervals."""
+    for shift, label in ((-0.2, "all objects"), (0.2, "each object")):
+        for i, method in enumerate(methods):
+            own = [row for row in rows if row["method"] == method]
+            won = [row["success"] for row in own]
+            if shift > 0:
+                won = [item["success"] for row in own for item in row["objects"]]
+            rate, interval = (
+                np.mean(won),
+                binomtest(sum(won), len(won)).proportion_ci(method="wilson"),
+            )
+            colour = _COLOURS[0] if shift < 0 else _COLOURS[9]
+            ax.bar(i + shift, rate, 0.38, color=colour, label=label if i == 0 else None)
+            ax.errorbar(i + shift, rate, [[rate - interval.low], [interval.high - rate]],
+                        color="black", capsize=3)  # fmt: skip
+    ax.set(ylabel="share of runs", ylim=(0, 1.05), title="success")
+    ax.set_xticks(range(len(methods)), methods)
+    ax.legend(loc="upper right")
+
+
+def _causes(ax, rows: list[dict], methods: list[str]) -> None:
+    """Failed objects by cause."""
+    counts = {
+        method: Counter(
+            item["cause"]
+            for row in rows
+            if row["method"] == method
+            for item in row["objects"]
+            if not item["success"]
+        )
+        for method in methods
+    }
+    causes = sorted({cause for count in counts.values() for cause in count})
+    bottom = np.zeros(len(methods))
+    for k, cause in enumerate(causes):
+        height = np.array([counts[method][cause] for method in methods], float)
+        ax.bar(range(len(methods)), height, 0.6, bottom=bottom, label=cause,
+               color=_COLOURS[k % len(_COLOURS)])  # fmt: skip
+        bottom += height
+    ax.set(ylabel="objects", title="what failed")
+    ax.set_xticks(range(len(methods)), methods)
+    if causes:
+        ax.legend()
+
+
+def draw_study(path: Path, rows: list[dict]) -> None:
+    """One chart of all methods.
+
+    Args:
+        path: PNG to write.
+        rows: runs, see `study.row_of`.
+    """
+    methods = list(dict.fromkeys(row["method"] for row in rows))
+    fig, axes = plt.subplots(1, 2, figsize=(13, 4.4), layout="constrained")
+    _bars(axes[0], rows, methods)
+    _causes(axes[1], rows, methods)
+    fig.savefig(path, dpi=110)
+    plt.close(fig)
