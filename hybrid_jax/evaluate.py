@@ -29,7 +29,8 @@ def main(
         runs: scenes; their seeds are seed, seed + 1, ...
         methods: hybrid, paper, lfd, drl, ompl, disturbed.
         seed: of the first scene.
-        paper: folder of a run that was trained with preset paper, for method paper.
+        paper: folder of a run of preset paper, for method paper; trained into the run's folder
+            if not given.
         video: MP4 to write instead: the scene of --seed, the first two methods side by side.
     """
     if (out is None) == (video is None):

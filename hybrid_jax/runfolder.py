@@ -27,6 +27,8 @@ class Run:
     seed: int
     skills: Path | None = None
     """Folder of demonstrations; the shipped ones where None."""
+    workcell: str = ""
+    """Name or file that the cell was loaded by."""
 
     @property
     def preset(self) -> Preset:
@@ -109,7 +111,7 @@ def create_run(
     partial = folder / "config.json.partial"
     partial.write_text(json.dumps(values, indent=1))
     os.replace(partial, folder / "config.json")
-    return Run(folder, cell, preset, seed, skills and skills.resolve())
+    return Run(folder, cell, preset, seed, skills and skills.resolve(), source)
 
 
 def open_run(folder: Path | None, workcell: str = "") -> Run:
@@ -132,6 +134,6 @@ def open_run(folder: Path | None, workcell: str = "") -> Run:
             )
         skills = values.get("skills")
         skills = Path(skills) if skills else None
-        return Run(folder, cell, values["preset"], values["seed"], skills)
+        return Run(folder, cell, values["preset"], values["seed"], skills, values["workcell"])
     except (ValueError, KeyError) as error:
         raise RunFolderError(f"{path} is damaged: {error!r}") from None

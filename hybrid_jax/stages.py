@@ -12,15 +12,14 @@ import numpy as np
 
 from hybrid_jax import artifacts, film, pictures
 from hybrid_jax.agents import controllers, dqn, joint, switching
-from hybrid_jax.agents.segments import Segments, free_pairs, refuse_infeasible
+from hybrid_jax.agents.segments import Segments, refuse_infeasible
 from hybrid_jax.checkpoints import train_agent
 from hybrid_jax.feasibility import building
 from hybrid_jax.feasibility.judging import Reason
 from hybrid_jax.planner import harvest
 from hybrid_jax.planner.lfd import optimal_chooser
-from hybrid_jax.planner.loading import load_bridger, load_planner, read_library, read_scale
+from hybrid_jax.planner.loading import load_planner, read_library, read_scale
 from hybrid_jax.planner.pipeline import plan_batch
-from hybrid_jax.planner.records import Planner
 from hybrid_jax.planner.switchdata import combined_phases
 from hybrid_jax.progress import Progress
 from hybrid_jax.runfolder import Run
@@ -156,23 +155,6 @@ def run_drl(run: Run, quiet: bool) -> dict:
         "held_out_single": round(single, 3),
         "held_out_best_of_16": round(best, 3),
     }
-
-
-def run_alone(run: Run, quiet: bool) -> dict:
-    """A joint agent of the whole work space, with the same budget: the study's method `drl`."""
-    config, cell = run.preset.joint, run.cell
-    world = joint.make_world(cell, free_pairs(cell, training_segments(run, quiet)), config)
-    net = joint.make_net(cell, config)
-    state = train_agent(run, "alone", world, net, config.training, quiet)
-    run.save("alone.npz", "joint agent", state.policy())
-    return {"steps": config.training.steps}
-
-
-def load_alone(run: Run, planner: Planner) -> Planner:
-    """The planner with the joint agent of the whole work space, which is trained if need be."""
-    if not run.finished("alone"):
-        run_alone(run, quiet=False)
-    return replace(planner, bridge=load_bridger(run, "alone.npz"))
 
 
 def combined_problems(run: Run, quiet: bool) -> switching.Combined:

@@ -16,11 +16,11 @@ from hybrid_jax.planner.loading import load_planner
 from hybrid_jax.planner.pipeline import lfd_only, plan_batch
 from hybrid_jax.planner.records import Planner, PlanResult
 from hybrid_jax.progress import Progress
+from hybrid_jax.rivals import paper_run, whole_space_agent
 from hybrid_jax.runfolder import Run
 from hybrid_jax.simulation.disturbances import CALM, DISTURBED, Disturbance
 from hybrid_jax.simulation.runs import SortingReport, planning, sort_scenes
 from hybrid_jax.skills.task import Task
-from hybrid_jax.stages import load_alone
 from hybrid_jax.types import Workcell
 
 FIRST_SEED = 10_000
@@ -29,7 +29,7 @@ METHODS = {
     "hybrid": "skills and joint agent, as the planner is used",
     "paper": "the same with the paper's agents (preset `paper`)",
     "lfd": "skills alone",
-    "drl": "a joint agent of the whole work space alone, between gripper events",
+    "drl": "a joint agent of the whole work space alone, from key pose to key pose",
     "ompl": "OMPL's RRT-Connect between the same key poses",
     "disturbed": "hybrid, with what `simulation.disturbances.DISTURBED` changes",
 }
@@ -73,17 +73,14 @@ def contestant(name: str, run: Run, paper: Run | None) -> Contestant | None:
     if name == "ompl":
         return _ompl(planner)
     if name == "drl":
-        return Contestant(name, load_alone(run, planner), one_by_one(joint_agent_only))
+        return Contestant(name, whole_space_agent(run, planner), one_by_one(joint_agent_only))
     if name == "lfd":
         return Contestant(name, lfd_only(planner), plan_batch)
     return Contestant(name, planner, plan_batch, DISTURBED if name == "disturbed" else CALM)
 
 
-def _paper(run: Run, paper: Run | None) -> Contestant | None:
-    if paper is None:
-        print("paper: left out, it needs a run of preset `paper`: "
-              "python -m hybrid_jax.train --preset paper, then --paper DIR")  # fmt: skip
-        return None
+def _paper(run: Run, paper: Run | None) -> Contestant:
+    paper = paper or paper_run(run)
     if paper.cell.source.digest != run.cell.source.digest:
         raise RunFolderError(
             f"{paper.folder} was trained for cell {paper.cell.source.name!r}, not for "
@@ -98,7 +95,7 @@ def _ompl(planner: Planner) -> Contestant | None:
     except ImportError as error:
         print(f"ompl: left out, {error.name} is not installed (pip install 'hybrid_jax[ompl]')")
         return None
-    tasks = OmplTasks(planner)
+    tasks = OmplTasks(planner, planner.config.smoothing.margin)  # as much as our own paths keep
     return Contestant("ompl", planner, one_by_one(lambda _, task, key: tasks.plan(task, key)))
 
 

@@ -29,6 +29,32 @@ def cell():
 
 
 @pytest.fixture(scope="session")
+def planner(cell):
+    """The handling cell's planner with exact stand-ins: RRT-Connect in the joint agent's place."""
+    from hybrid_jax.agents.switching import SwitchConfig
+    from hybrid_jax.planner.bridging import rrt_bridger
+    from hybrid_jax.planner.lfd import optimal_chooser
+    from hybrid_jax.planner.loading import optimal_switcher, read_library
+    from hybrid_jax.planner.records import Planner
+    from hybrid_jax.rrt import RrtConfig
+
+    bridge, switch = rrt_bridger(cell, RrtConfig()), optimal_switcher(SwitchConfig())
+    return Planner(cell, read_library(), optimal_chooser, bridge, switch, 0.1)
+
+
+@pytest.fixture(scope="session")
+def planned(planner):
+    """A task and its plan."""
+    import jax
+
+    from hybrid_jax.planner.pipeline import plan_motion
+    from hybrid_jax.skills.task import random_task
+
+    task = random_task(planner.cell, 4)
+    return task, plan_motion(planner, task, key=jax.random.key(0))
+
+
+@pytest.fixture(scope="session")
 def configurations(cell):
     """200 random configurations within the limits, float32."""
     low, high = np.asarray(cell.joint_limits).T

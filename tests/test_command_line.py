@@ -57,12 +57,13 @@ def test_plan_writes_a_status_and_says_so_by_its_exit_code(run_folder, tmp_path)
     assert (code == 0) == (out["status"] == "OK") and (len(out["points"]) > 0) == (code == 0)
 
 
-def test_evaluate_writes_trials_and_metrics(run_folder, tmp_path):
+def test_evaluate_writes_runs_metrics_and_a_chart(run_folder, tmp_path):
     path = tmp_path / "study.json"
-    assert evaluate.main(run_folder, path, trials=1, methods=("lfd", "drl")) == 0
+    assert evaluate.main(run_folder, path, runs=1, methods=("lfd", "drl")) == 0
     out = json.loads(path.read_text())
-    assert [row["method"] for row in out["trials"]] == ["lfd", "drl"]
+    assert [row["method"] for row in out["runs"]] == ["lfd", "drl"]
     assert {"key", "value", "unit", "better", "device", "note"} == set(out["metrics"][0])
+    assert path.with_suffix(".png").is_file() and (run_folder / "alone.npz").is_file()
 
 
 def test_damaged_and_incomplete_runs_are_refused(run_folder, tmp_path):

@@ -16,40 +16,21 @@ import numpy as np
 import pytest
 
 from hybrid_jax.agents.segments import single_segment
-from hybrid_jax.agents.switching import SwitchConfig
 from hybrid_jax.errors import TaskError, UnknownNameError
 from hybrid_jax.export import to_joint_trajectory
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.collision import clearance
 from hybrid_jax.kernels.edges import path_clearance
 from hybrid_jax.planner import checking, smoothing
-from hybrid_jax.planner.bridging import bridge_gaps, rrt_bridger
+from hybrid_jax.planner.bridging import bridge_gaps
 from hybrid_jax.planner.directly import joint_agent_only
 from hybrid_jax.planner.finishing import find_faults
-from hybrid_jax.planner.lfd import optimal_chooser
-from hybrid_jax.planner.loading import optimal_switcher, read_library
 from hybrid_jax.planner.pipeline import lfd_only, plan_batch, plan_motion, prepare
-from hybrid_jax.planner.records import Planner
 from hybrid_jax.planner.refusing import admit
 from hybrid_jax.planner.scenes import CARRYING, REACHING, inside, phase_scene, task_scenes
-from hybrid_jax.rrt import RrtConfig
-from hybrid_jax.simulation.execution import execute, start_data
 from hybrid_jax.skills.library import without
 from hybrid_jax.skills.task import handling_task, random_task, read_task, sample_scene
 from hybrid_jax.types import Source, Status
-
-
-@pytest.fixture(scope="module")
-def planner(cell):
-    """RRT-Connect in the joint agent's place."""
-    bridge, switch = rrt_bridger(cell, RrtConfig()), optimal_switcher(SwitchConfig())
-    return Planner(cell, read_library(), optimal_chooser, bridge, switch, 0.1)
-
-
-@pytest.fixture(scope="module")
-def planned(planner):
-    task = random_task(planner.cell, 4)
-    return task, plan_motion(planner, task, key=jax.random.key(0))
 
 
 @pytest.fixture(scope="module")
@@ -90,23 +71,6 @@ def test_trajectories_are_consistent_and_within_limits(cell, planned):
         assert np.abs(slopes - middle).max() < 0.05
         assert (np.abs(trajectory.velocities) <= np.asarray(cell.velocity_limits) * 1.001).all()
         assert checking.limit_faults(cell, trajectory) == []
-
-
-def test_the_engine_executes_the_plan(cell, planned):
-    task, result = planned
-    report = execute(cell, task, result)
-    assert report.placed and report.grasped and report.success, report.touched
-    assert report.tracking_error < 0.03
-
-
-def test_execution_refuses_what_it_cannot_start(cell, planned):
-    task, result = planned
-    with pytest.raises(ValueError, match="nothing to execute"):
-        execute(cell, task, replace(result, phases=[], status=Status.NEED_DEMO))
-    data = start_data(cell, task)
-    data.qpos[cell.source.layout.qpos[0]] += 0.5
-    with pytest.raises(ValueError, match="away from where the plan starts"):
-        execute(cell, task, result, data=data)
 
 
 def test_skills_alone_do_not_get_around_the_wall(planner):

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""A bridger alone: from gripper event to gripper event, without demonstrations.
+"""A bridger alone: from key pose to key pose, without demonstrations.
 
-With the joint agent this is the paper's "DRL" method. It has no skills, so it goes straight for
-the next configuration in one piece.
+With the joint agent this is the paper's "DRL" method: the same task, no skills.
 """
+
+from dataclasses import replace
 
 import jax
 import numpy as np
@@ -43,42 +44,53 @@ def joint_agent_only(planner: Planner, task: Task, *, key) -> PlanResult:
     return PlanResult(Status.OK, f"{Status.OK.sentence} {note}".strip(), phases)
 
 
-def _goal(planner: Planner, task: Task, scenes: Scene, phase: int, start, key):
-    """Configuration at the end of a phase, the nearest to the start; None if there is none."""
-    low, high = task.phases[phase]
-    if high == len(task.carrying):
+def _goal(planner: Planner, task: Task, scenes: Scene, k: int, start, key):
+    """Configuration at a key pose, the nearest to the start; None if there is none."""
+    if k == len(task.carrying):
         return np.asarray(planner.cell.home)
-    before, after = (jax.tree.map(lambda a, i=i: a[i], scenes) for i in (low, high))
+    before, after = (jax.tree.map(lambda a, i=i: a[i], scenes) for i in (k - 1, k))
     found, usable, _ = jax.device_get(find_candidates(
-        planner.cell, before, after, task.key_poses[high], planner.scale, key,
+        planner.cell, before, after, task.key_poses[k], planner.scale, key,
         planner.config.labels,
     ))  # fmt: skip
     goals = found[usable]
     return goals[np.abs(goals - start).max(axis=1).argmin()] if len(goals) else None
 
 
+def _way(planner: Planner, bridge, task: Task, scenes: Scene, k: int, start, key):
+    """Joint path to key pose k, or why there is none."""
+    key_ik, key_bridge = split(key, 2)
+    goal = _goal(planner, task, scenes, k, start, key_ik)
+    if goal is None:
+        return PlanResult(Status.TASK_INFEASIBLE, f"key pose {k}: no configuration was found")
+    cell = inside(planner.cell, scenes, k - 1)
+    path = bridge(single_segment(cell.scene, start, goal), key_bridge)[0]
+    if path is None:
+        return PlanResult(
+            Status.DRL_TIMEOUT, f"key pose {k - 1} to {k}: {Status.DRL_TIMEOUT.sentence}"
+        )
+    return smoothing.shortcut(cell, path, planner.config.labels.margin, planner.config.smoothing)
+
+
 def _plan_phase(
     planner: Planner, bridge, engine, task: Task, scenes: Scene, phase: int, start, key
 ):
     """The trajectory of one phase, or why there is none."""
-    key_ik, key_bridge = split(key, 2)
-    goal, low = _goal(planner, task, scenes, phase, start, key_ik), task.phases[phase][0]
-    if goal is None:
-        return PlanResult(Status.TASK_INFEASIBLE, f"phase {phase}: no configuration at its end")
+    (low, high), config = task.phases[phase], planner.config
+    path = np.asarray(start)[None]
+    for k in range(low + 1, high + 1):
+        way = _way(planner, bridge, task, scenes, k, path[-1].astype(np.float32), fold_in(key, k))
+        if isinstance(way, PlanResult):
+            return way
+        path = np.concatenate([path, way[1:]])
     cell = inside(planner.cell, scenes, low)
-    path = bridge(single_segment(cell.scene, start, goal), key_bridge)[0]
-    if path is None:
-        return PlanResult(
-            Status.DRL_TIMEOUT, f"phase {phase}: {Status.DRL_TIMEOUT.sentence}"
-        )
-    short = smoothing.shortcut(
-        cell, path, planner.config.labels.margin, planner.config.smoothing
-    )
-    marks, config = np.full(len(short), Source.DRL, np.uint8), planner.config
-    trajectory = time_path(cell, short, marks, config.smoothing, config.timing)
+    marks = np.full(len(path), Source.DRL, np.uint8)
+    # the corners at key poses must stay
+    corners = replace(config.smoothing, widths=(config.smoothing.kept, 0.0))
+    trajectory = time_path(cell, path, marks, corners, config.timing)
     if trajectory is None:
         return PlanResult(Status.SEAM_FAILED, f"phase {phase}: {Status.SEAM_FAILED.sentence}")
-    faults = find_faults(cell, engine, task, phase, trajectory, passing=False)
+    faults = find_faults(cell, engine, task, phase, trajectory)
     if faults:
         return PlanResult(Status.COLLISION, f"phase {phase}: {'; '.join(faults)}")
     return trajectory

@@ -112,7 +112,6 @@ def find_faults(
     task: Task,
     number: int,
     trajectory: Trajectory,
-    passing: bool = True,
 ) -> list[str]:
     """What the final check finds wrong with a phase of a task; the cell is in its scene.
 
@@ -120,7 +119,6 @@ def find_faults(
         cell, engine: that see it.
         task, number: what the phase is to do.
         trajectory: how it does it.
-        passing: must it pass the key poses between its start and its end?
     """
     low, high = task.phases[number]
     scene = phase_scene(cell, task, int(segment_kinds(task)[low]))
@@ -129,8 +127,8 @@ def find_faults(
     path = trajectory.positions
     missed = [
         checking.passing_fault(engine, scene, path, rows[k], f"key pose {k}")
-        for k in range(low + 1, high) if passing
-    ]  # fmt: skip
+        for k in range(low + 1, high)
+    ]
     missed.append(checking.pose_fault(engine, scene, path[-1], rows[high], f"key pose {high}"))
     return faults + [fault for fault in missed if fault]
 

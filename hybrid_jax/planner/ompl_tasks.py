@@ -25,20 +25,24 @@ TRIES = 3
 class OmplTasks:
     """Plans tasks as `plan_motion` does; the time of finding configurations counts as well."""
 
-    def __init__(self, planner: Planner):
+    def __init__(self, planner: Planner, clearance: float = 0.0):
+        """Args:
+            planner: whose cell and labels are used.
+            clearance: that its checker demands [m].
+        """
         low, high = np.asarray(planner.cell.joint_limits, float).T
         home = np.asarray(planner.cell.home)
         # joints that turn without end would only make its space larger
         self.ompl = OmplPlanner(np.maximum(low, home - np.pi), np.minimum(high, home + np.pi))
         self.planner = planner
-        self.engine = Engine(planner.cell, CheckConfig(clearance=0.0))
+        self.engine = Engine(planner.cell, CheckConfig(clearance=clearance))
         # its paths may touch: they are smoothed where that costs no contact, else left as they are
         smoothing = planner.config.smoothing
         self.smooth, self.bare = (
-            replace(smoothing, margin=0.0), replace(smoothing, margin=-1, widths=(0,)),
+            replace(smoothing, margin=clearance), replace(smoothing, margin=-1, widths=(0,)),
         )  # fmt: skip
         self.labels = replace(
-            planner.config.labels, key_margin=0.0, least_manipulability=0.0, candidates=8
+            planner.config.labels, key_margin=clearance, least_manipulability=0.0, candidates=8
         )
 
     def _goals(self, task: Task, scenes, k: int, start: np.ndarray, key) -> np.ndarray:

@@ -90,6 +90,8 @@ class Execution:
         self.disturb: Callable[[int], None] | None = None
         """Called once, half way to the grasp, with the object that is reached for."""
         self.gripped_at = np.zeros(3)
+        self.slip = 0.0
+        """Largest way of the held object in the tool [m]."""
 
     def run(self) -> Steps:
         """From the plan's start to its end, or to what went wrong; returns an `Ending`."""
@@ -167,7 +169,8 @@ class Execution:
 
     def lost(self, time: float) -> Ending | None:
         """Does the object no longer move with the tool?"""
-        slip = np.linalg.norm(self.plant.object_in_tool(self.object) - self.gripped_at)
+        slip = float(np.linalg.norm(self.plant.object_in_tool(self.object) - self.gripped_at))
+        self.slip = max(self.slip, slip)
         if slip < self.config.lost_at:
             return None
         carried = self.phases[1]

@@ -52,6 +52,8 @@ class ExecutionReport:
     """Contacts that should not have been."""
     object_poses: np.ndarray
     """`[object, 7]` where every object lies afterwards."""
+    slip: float
+    """Largest way of the held object in the tool [m]."""
     frames: np.ndarray
     """`[frame, nq]` one for each tick."""
     seconds: float
@@ -135,5 +137,5 @@ def execute(
     ending = drive([execution.run()], HostEngine(sensed))[0]
     return ExecutionReport(
         ending, in_tray(plant, task.object_name), plant.touches, plant.objects(),
-        np.stack(plant.frames), plant.time,
+        execution.slip, np.stack(plant.frames), plant.time,
     )  # fmt: skip

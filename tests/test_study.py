@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: MIT
+"""The study: disturbances, what runs add up to, and the film."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hybrid_jax import film, study, studypictures
+from hybrid_jax.errors import InputError, RunFolderError, UnknownNameError
+from hybrid_jax.evaluate import main
+from hybrid_jax.runfolder import Run
+from hybrid_jax.simulation.disturbances import (
+    CALM,
+    DISTURBED,
+    disturbed_model,
+    measured,
+    push,
+)
+from hybrid_jax.simulation.plant import Plant
+from hybrid_jax.simulation.runs import SortingReport, sort_scenes
+from hybrid_jax.simulation.sensing import sense_cell
+from hybrid_jax.simulation.sorting import ObjectReport
+from hybrid_jax.skills.task import sample_scene, yaw_of
+
+
+def run_of(seed: int, causes: list[str]) -> SortingReport:
+    reports = [ObjectReport(f"o{i}", not c, c, tries=1) for i, c in enumerate(causes)]
+    return SortingReport(seed, reports, [], np.zeros((3, 45), np.float32), 60.0)
+
+
+def test_measured_poses_scatter_as_stated_and_stay_upright(cell):
+    poses = sample_scene(cell, 0)
+    rng = np.random.default_rng(0)
+    seen = np.array([measured(poses, DISTURBED, rng) for _ in range(2000)])
+    away = seen[:, :, :3] - poses[:, :3]
+    np.testing.assert_allclose(away[..., :2].std(axis=0), DISTURBED.position, rtol=0.1)
+    assert np.abs(away[..., 2]).max() == 0.0
+    turns = np.array([[yaw_of(p) for p in row] for row in seen[:500]])
+    turns -= [yaw_of(p) for p in poses]
+    np.testing.assert_allclose(turns.std(axis=0), DISTURBED.yaw, rtol=0.15)
+    np.testing.assert_allclose(measured(poses, CALM, rng), poses, atol=1e-7)
+
+
+def test_the_disturbed_model_is_heavier_and_slides_more(cell):
+    sensed = sense_cell(cell)
+    model = disturbed_model(sensed.model, cell, DISTURBED)
+    hammer = model.body("hammer").id
+    assert model.body_mass[hammer] == pytest.approx(1.5 * sensed.model.body_mass[hammer])
+    assert model.body("bracelet_link").mass == sensed.model.body("bracelet_link").mass
+    np.testing.assert_allclose(model.geom_friction, 0.7 * sensed.model.geom_friction)
+    assert disturbed_model(sensed.model, cell, CALM) is sensed.model
+
+
+def test_a_push_moves_an_object_to_a_free_place(cell):
+    sensed, scene = sense_cell(cell), sample_scene(cell, 1)
+    for seed in range(5):
+        plant = Plant(sensed, scene, 25)
+        assert push(plant, 1, 0.03, np.random.default_rng(seed))
+        address = 1 + plant.layout.object_qpos[1]
+        assert np.linalg.norm(plant.state[address : address + 2] - scene[1, :2]) == pytest.approx(
+            0.03, abs=1e-6
+        )
+        plant.data.qpos[:] = plant.state[1 : 1 + plant.model.nq]
+        import mujoco
+
+        mujoco.mj_forward(plant.model, plant.data)
+        touching = sensed.touching(plant.data.sensordata)
+        assert touching[3, :5].sum() == 0, "no other object"
+
+
+def test_runs_add_up_with_their_intervals_and_causes():
+    runs = [run_of(i, ["", ""]) for i in range(9)] + [run_of(9, ["", "missed grasp"])]
+    rows = [study.row_of("hybrid", run) for run in runs]
+    metrics = {m["key"]: m for m in study.summarize(rows, {"hybrid": 20.0})}
+    success = metrics["handling.hybrid_success"]
+    assert success["value"] == 0.9 and "missed grasp 1" in success["note"]
+    # Wilson's interval of 9 of 10, by its formula
+    z, p, n = 1.959964, 0.9, 10
+    middle = (p + z**2 / (2 * n)) / (1 + z**2 / n)
+    half = z * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2)) / (1 + z**2 / n)
+    assert f"from {middle - half:.3f} to {middle + half:.3f}" in success["note"]
+    assert metrics["handling.hybrid_object_success"]["value"] == 19 / 20
+    assert metrics["handling.seconds_100"]["value"] == 200.0
+    assert metrics["handling.hybrid_cycle_time"]["value"] == 60.0
+
+
+def test_a_contact_spoils_a_run_in_which_everything_was_placed():
+    from hybrid_jax.simulation.plant import Touch
+
+    run = replace(run_of(0, ["", ""]), touches=[Touch(1.0, "arm", "table")])
+    assert not run.success
+    row = study.row_of("hybrid", run)
+    assert row["cause"] == "collision" and row["touches"] == ["arm touched table at 1.00 s"]
+
+
+def test_the_chart_is_drawn(tmp_path):
+    rows = [study.row_of(m, run_of(0, [c, ""])) for m, c in (("hybrid", ""), ("lfd", "no plan"))]
+    studypictures.draw_study(tmp_path / "study.png", rows)
+    assert (tmp_path / "study.png").stat().st_size > 10_000
+
+
+def test_films_stand_side_by_side_until_the_longer_ends():
+    short, long = ([np.full((40, 60, 3), v, np.uint8) for v in range(n)] for n in (2, 5))
+    frames = film.side_by_side({"a": short, "b": long})
+    assert len(frames) == 5 and frames[0].shape == (40, 120, 3)
+    assert frames[-1][30, 50, 0] == 1 and frames[-1][30, 110, 0] == 4
+
+
+def test_scenes_side_by_side_are_as_one_by_one(cell, planner):
+    """What becomes of a run does not depend on the runs beside it."""
+
+    def plan(tasks):
+        import jax
+
+        from hybrid_jax.planner.pipeline import plan_motion
+
+        return [plan_motion(planner, task, key=jax.random.key(0)) for task in tasks]
+
+    both = sort_scenes(cell, plan, [1, 2], ["block_2"])
+    alone = sort_scenes(cell, plan, [2], ["block_2"])[0]
+    assert both[1].success and both[0].success
+    np.testing.assert_allclose(both[1].frames, alone.frames, atol=1e-6)
+
+
+def test_what_the_study_cannot_do_is_said(cell, tmp_path):
+    with pytest.raises(InputError, match="--out FILE.json"):
+        main(tmp_path)
+    with pytest.raises(InputError, match="at least 1"):
+        main(tmp_path, tmp_path / "out.json", runs=0)
+    with pytest.raises(RunFolderError, match="config.json is missing"):
+        main(tmp_path, tmp_path / "out.json")
+    run = Run(tmp_path, cell, "smoke", 0)
+    with pytest.raises(UnknownNameError, match="hybrid"):
+        study.contestant("hybird", run, None)
+
+
+def test_a_run_of_another_cell_is_refused(cell, tmp_path):
+    from hybrid_jax.workcell.load import load_workcell
+
+    text = (cell.source.path).read_text().replace('pos=".26 .56 0"', 'pos=".28 .56 0"')
+    folder = tmp_path / "workcells"
+    folder.mkdir()
+    robots = str(cell.source.path.parent.parent)
+    (folder / "other.xml").write_text(text.replace('file="../', f'file="{robots}/'))
+    (folder / "other.toml").write_text(cell.source.path.with_suffix(".toml").read_text())
+    other = load_workcell(folder / "other.xml")
+    with pytest.raises(RunFolderError, match="was trained for cell 'other'"):
+        study.contestant("paper", Run(tmp_path / "a", cell, "smoke", 0),
+                         Run(tmp_path / "b", other, "paper", 0))  # fmt: skip
