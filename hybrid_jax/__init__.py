@@ -49,8 +49,11 @@ _EXPORTS = {
     "JointMotionConfig": "planner.joints",
     "open_run": "runfolder",
     "load_planner": "planner.loading",
-    "execute": "simulation.execution",
-    "ExecutionReport": "simulation.execution",
+    "ExecutionConfig": "simulation.execution",
+    "execute": "simulation.runs",
+    "ExecutionReport": "simulation.runs",
+    "sort_scenes": "simulation.runs",
+    "SortingReport": "simulation.runs",
     "HybridJaxError": "errors",
 }
 __all__ = sorted(_EXPORTS)

@@ -5,7 +5,6 @@ A state is MuJoCo's full physics state `[time, qpos, qvel, act]`, a command the 
 followed by which equalities are active. Both engines take the same numbers and return the same.
 """
 
-import copy
 import functools
 import os
 from collections.abc import Sequence
@@ -15,9 +14,9 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 from jaxtyping import Bool, Float
-from mujoco import rollout
+from mujoco import mjx, rollout
 
-from hybrid_jax.quiet import import_mjx
+from hybrid_jax.simulation.physics import device_model
 from hybrid_jax.simulation.sensing import SensedCell
 
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -70,7 +69,6 @@ class DeviceEngine:
     """MJX: all runs in one batch on the default device, in float32."""
 
     def __init__(self, sensed: SensedCell):
-        import_mjx()
         self.sensed, self.first, self.second = sensed, *map(jnp.asarray, sensed.geoms())
 
     def roll(
@@ -107,9 +105,7 @@ class _ById:
 @functools.lru_cache(maxsize=2)
 def _rolling(key: _ById):
     """The compiled rollout of a model: (sides, states, commands) to (states, contacts)."""
-    from mujoco import mjx  # noqa: PLC0415
-
-    model = _for_device(key.model)
+    model = device_model(key.model)
     device, blank = mjx.put_model(model), mjx.make_data(model)
     nq, nv, nu = model.nq, model.nv, model.nu
 
@@ -132,18 +128,3 @@ def _rolling(key: _ById):
         return jax.lax.scan(step, data, commands)[1]
 
     return jax.jit(jax.vmap(one, in_axes=(None, None, 0, 0)))
-
-
-def _for_device(model: mujoco.MjModel) -> mujoco.MjModel:
-    """A copy for MJX, which has no contact sensors of whole bodies.
-
-    In float32 the solver's late iterations add noise: resting bolts jump by millimetres after 100
-    of them, by less than one after 20. And a grip blows up where friction is ten or a hundred times
-    as stiff as the normal direction; as stiff as it, held objects creep.
-    """
-    model = copy.deepcopy(model)
-    model.opt.iterations, model.opt.ls_iterations = 20, 20
-    model.opt.impratio = 1.0
-    contact = model.sensor_type == int(mujoco.mjtSensor.mjSENS_CONTACT)
-    model.sensor_type[contact] = int(mujoco.mjtSensor.mjSENS_CLOCK)
-    return model
