@@ -66,7 +66,8 @@ def side_by_side(films: dict[str, list[np.ndarray]]) -> list[np.ndarray]:
 
 def _named(picture: np.ndarray, name: str) -> np.ndarray:
     image = Image.fromarray(picture)
-    ImageDraw.Draw(image).text((12, 10), name, fill="black", font_size=20)
+    outline = {"stroke_width": 2, "stroke_fill": "black"}
+    ImageDraw.Draw(image).text((12, 10), name, fill="white", font_size=20, **outline)
     return np.asarray(image)
 
 

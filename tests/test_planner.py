@@ -211,7 +211,7 @@ def test_the_final_check_sees_a_wall(cell, planner, reaching, planned):
     engine, scene = checking.Engine(cell), phase_scene(cell, task, REACHING)
     assert checking.collision_fault(engine, scene, result.phases[0].positions) is None
     q = np.array(result.phases[0].positions)
-    reach = np.clip(q + np.linspace(0, 1, len(q))[:, None] * [1.2, 0, 0, 0, 0, 0, 0], -6, 6)
+    reach = np.clip(q + np.linspace(0, 1, len(q))[:, None] * [-1.0, 0, 0, 0, 0, 0, 0], -6, 6)
     assert re.search("touches|too close to", checking.collision_fault(engine, scene, reach))
     bad = replace(result.phases[0], positions=reach)
     faults = find_faults(reaching, engine, task, 0, bad)
