@@ -45,14 +45,19 @@ def same(a, b, atol=2e-5):
     np.testing.assert_allclose(dq.to_matrix(a), dq.to_matrix(b), atol=atol)
 
 
+BOTH = pytest.mark.parametrize("name", ["aligned", "late_exact"])
+"""The maps that meet both ends."""
+
+
 def double(poses):
     """Unit dual quaternions in double precision."""
     return dq.normalize(jnp.asarray(poses, jnp.float64))
 
 
-def test_aligned_meets_new_ends_and_keeps_its_own(library):
+@BOTH
+def test_both_maps_meet_new_ends_and_keep_their_own(library, name):
     with jax.enable_x64(True):
-        rng, apply = np.random.default_rng(0), jax.jit(mapping.aligned)
+        rng, apply = np.random.default_rng(0), jax.jit(mapping.MAPS[name])
         for demo in double(library.poses[:8]):
             start, goal = double(random_pose(rng)), double(random_pose(rng))
             mapped = apply(demo, start, goal)
@@ -62,9 +67,10 @@ def test_aligned_meets_new_ends_and_keeps_its_own(library):
             same(apply(demo, -demo[0], demo[-1]), demo, atol=1e-9)
 
 
-def test_aligned_moves_with_a_rigid_motion_of_both_ends(library):
+@BOTH
+def test_both_maps_move_with_a_rigid_motion_of_both_ends(library, name):
     with jax.enable_x64(True):
-        rng, apply = np.random.default_rng(1), jax.jit(mapping.aligned)
+        rng, apply = np.random.default_rng(1), jax.jit(mapping.MAPS[name])
         for demo in double(library.poses[:8]):
             start, goal, move = (double(random_pose(rng)) for _ in range(3))
             moved = apply(demo, dq.mul(move, start), dq.mul(move, goal))
@@ -72,8 +78,20 @@ def test_aligned_moves_with_a_rigid_motion_of_both_ends(library):
             same(moved, wanted, atol=1e-9)
 
 
-def test_aligned_in_single_precision_loses_a_micrometre_at_most(library):
-    rng, apply = np.random.default_rng(2), jax.jit(mapping.aligned)
+def test_the_last_quarter_of_late_exact_is_the_demonstration_seen_from_the_goal(library):
+    with jax.enable_x64(True):
+        rng, apply = np.random.default_rng(6), jax.jit(mapping.late_exact)
+        for demo in double(library.poses[:8]):
+            start, goal = double(random_pose(rng)), double(random_pose(rng))
+            late = np.asarray(mapping.arc_phase(demo)) >= mapping.LATE
+            wanted = mapping.ugp_goal(demo, start, goal)
+            same(apply(demo, start, goal)[late], wanted[late], atol=1e-9)
+            assert 10 < late.sum() < 50
+
+
+@BOTH
+def test_in_single_precision_a_micrometre_is_lost_at_most(library, name):
+    rng, apply = np.random.default_rng(2), jax.jit(mapping.MAPS[name])
     for demo in library.poses[:8]:
         start, goal = random_pose(rng), random_pose(rng)
         mapped = apply(demo, start, goal)
