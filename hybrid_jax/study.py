@@ -23,8 +23,6 @@ from hybrid_jax.simulation.runs import SortingReport, planning, sort_scenes
 from hybrid_jax.skills.task import Task
 from hybrid_jax.types import Workcell
 
-FIRST_SEED = 10_000
-"""Of the study's scenes; nothing was tuned on those from here on."""
 METHODS = {
     "hybrid": "skills and joint agent, as the planner is used",
     "paper": "the same with the paper's agents (preset `paper`)",

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import hybrid_jax as hj
+from hybrid_jax.errors import UnknownNameError
 from hybrid_jax.planner.records import PlanResult
 from hybrid_jax.simulation.driving import drive
 from hybrid_jax.simulation.engines import DeviceEngine, HostEngine, get_state
@@ -186,6 +187,19 @@ def test_mjx_grips_and_lifts_as_c_mujoco_does(gripping, sensed, engine):
     index = host.layout.object_names.index("block_1")
     assert device.pads_on(index) and host.pads_on(index)
     assert abs(device.time - host.time) < 1e-9
+
+
+@pytest.mark.slow
+def test_mjx_carries_out_a_plan_as_c_mujoco_does(cell, planned):
+    task, result = planned
+    host, device = (execute(cell, task, result, engine=name) for name in ("host", "device"))
+    assert device.ending is host.ending is Ending.DONE and device.placed and host.placed
+    np.testing.assert_allclose(device.object_poses[:, :3], host.object_poses[:, :3], atol=1e-2)
+
+
+def test_an_unknown_engine_is_named(cell, planned):
+    with pytest.raises(UnknownNameError, match="device"):
+        execute(cell, *planned, engine="bullet")
 
 
 def test_an_object_that_is_not_there_is_a_missed_grasp(sensed, engine, planned):

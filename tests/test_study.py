@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hybrid_jax import film, study, studypictures
+from hybrid_jax import evaluate, film, study, studypictures
 from hybrid_jax.errors import InputError, RunFolderError, UnknownNameError
-from hybrid_jax.evaluate import main
 from hybrid_jax.runfolder import Run
 from hybrid_jax.simulation.disturbances import (
     CALM,
@@ -123,13 +122,17 @@ def test_scenes_side_by_side_are_as_one_by_one(cell, planner):
     np.testing.assert_allclose(both[1].frames, alone.frames, atol=1e-6)
 
 
+def test_every_method_of_the_command_exists():
+    assert set(evaluate.METHODS) == set(study.METHODS)
+
+
 def test_what_the_study_cannot_do_is_said(cell, tmp_path):
     with pytest.raises(InputError, match="--out FILE.json"):
-        main(tmp_path)
+        evaluate.main(tmp_path)
     with pytest.raises(InputError, match="at least 1"):
-        main(tmp_path, tmp_path / "out.json", runs=0)
+        evaluate.main(tmp_path, tmp_path / "out.json", runs=0)
     with pytest.raises(RunFolderError, match="config.json is missing"):
-        main(tmp_path, tmp_path / "out.json")
+        evaluate.main(tmp_path, tmp_path / "out.json")
     run = Run(tmp_path, cell, "smoke", 0)
     with pytest.raises(UnknownNameError, match="hybrid"):
         study.contestant("hybird", run, None)

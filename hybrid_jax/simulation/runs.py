@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Whole runs in C MuJoCo: one plan, one scene, or many scenes at once."""
+"""Whole runs in physics: one plan, one scene, or many scenes at once."""
 
 import itertools
 from collections.abc import Callable, Sequence
@@ -12,7 +12,7 @@ from hybrid_jax.keys import fold_in
 from hybrid_jax.planner.records import Planner, PlanResult
 from hybrid_jax.simulation.disturbances import CALM, Disturbance, disturbed_model
 from hybrid_jax.simulation.driving import Planning, drive
-from hybrid_jax.simulation.engines import HostEngine
+from hybrid_jax.simulation.engines import make_engine
 from hybrid_jax.simulation.execution import Ending, Execution, ExecutionConfig
 from hybrid_jax.simulation.plant import Plant, Touch
 from hybrid_jax.simulation.sensing import SensedCell, sense_cell
@@ -83,6 +83,7 @@ def sort_scenes(
     names: Sequence[str] | None = None,
     disturbance: Disturbance = CALM,
     config: ExecutionConfig = ExecutionConfig(),
+    engine: str = "auto",
     progress: Callable[[int, float], None] = lambda ended, seconds: None,
 ) -> list[SortingReport]:
     """Sort the objects of random scenes, all scenes side by side.
@@ -94,6 +95,7 @@ def sort_scenes(
         names: objects to sort, in the order in which they are tried; all if None.
         disturbance: what differs from what the planner is told.
         config: times and thresholds.
+        engine: host (C MuJoCo), device (MJX) or auto.
         progress: is told how many runs have ended, and the simulated time of all.
     """
     sensed = sense_cell(cell)
@@ -104,7 +106,7 @@ def sort_scenes(
         Sorting(plant, names, seed, disturbance, config).run()
         for plant, seed in zip(plants, seeds, strict=True)
     ]
-    found = drive(runs, HostEngine(sensed), plan, progress)
+    found = drive(runs, make_engine(sensed, engine), plan, progress)
     return [
         SortingReport(seed, reports, plant.touches, np.stack(plant.frames), plant.time)
         for seed, reports, plant in zip(seeds, found, plants, strict=True)
@@ -123,7 +125,11 @@ def sort_scene(
 
 
 def execute(
-    cell: Workcell, task: Task, plan: PlanResult, config: ExecutionConfig = ExecutionConfig()
+    cell: Workcell,
+    task: Task,
+    plan: PlanResult,
+    config: ExecutionConfig = ExecutionConfig(),
+    engine: str = "auto",
 ) -> ExecutionReport:
     """Carry out one plan in the scene of its task.
 
@@ -134,7 +140,7 @@ def execute(
     sensed = sense_cell(cell)
     plant = Plant(sensed, task.object_poses, ticks(sensed, config))
     execution = Execution(plant, task, plan.phases, config)
-    ending = drive([execution.run()], HostEngine(sensed))[0]
+    ending = drive([execution.run()], make_engine(sensed, engine))[0]
     return ExecutionReport(
         ending, in_tray(plant, task.object_name), plant.touches, plant.objects(),
         execution.slip, np.stack(plant.frames), plant.time,
