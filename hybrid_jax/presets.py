@@ -79,7 +79,10 @@ PAPER = Preset(
             hidden=(64, 64),
         ),
     ),
-    planner=PlannerConfig(skills=SkillConfig(map="ugp_blend", distance="euclidean")),
+    planner=PlannerConfig(
+        skills=SkillConfig(map="ugp_blend", distance="euclidean"),
+        fallback=None,  # the paper has no planner behind its agents
+    ),
 )
 """The paper's tables, maps and distances; see docs/differences.md for what still differs."""
 
