@@ -27,7 +27,15 @@ from hybrid_jax.planner.directly import joint_agent_only
 from hybrid_jax.planner.finishing import find_faults
 from hybrid_jax.planner.pipeline import lfd_only, plan_batch, plan_motion, prepare
 from hybrid_jax.planner.refusing import admit
-from hybrid_jax.planner.scenes import CARRYING, REACHING, inside, phase_scene, task_scenes
+from hybrid_jax.planner.scenes import (
+    CARRYING,
+    REACHING,
+    TRANSFERRING,
+    inside,
+    phase_scene,
+    segment_kinds,
+    task_scenes,
+)
 from hybrid_jax.skills.library import without
 from hybrid_jax.skills.task import handling_task, random_task, read_task, sample_scene
 from hybrid_jax.types import Source, Status
@@ -228,6 +236,19 @@ def test_the_final_check_carries_the_object(cell, planned):
     assert checking.collision_fault(engine, scene, first) is None
     bare = replace(scene, support=())
     assert "table" in checking.collision_fault(engine, bare, first)
+
+
+def test_a_held_object_may_touch_its_support_only_where_it_is_lifted(cell, planned):
+    task, result = planned
+    q, scenes = result.phases[0].positions[-1], task_scenes(cell, task)
+    engine, gaps, found = checking.Engine(cell), [], []
+    for segment, kind in ((1, CARRYING), (2, TRANSFERRING)):
+        assert segment_kinds(task)[segment] == kind
+        gaps.append(float(clearance(inside(cell, scenes, segment), jnp.asarray(q, jnp.float32))))
+        engine.enter(phase_scene(cell, task, kind))
+        found.append(engine.collision(q))
+    assert gaps[0] > 0.0005 and found[0] is None
+    assert gaps[1] < 0.0005 and "table" in found[1]
 
 
 def test_the_final_check_sees_broken_limits_and_missed_poses(cell, planned):

@@ -16,14 +16,17 @@ from hybrid_jax.workcell import scene as scenes
 from hybrid_jax.workcell.geometry import as_row, pose_of
 from hybrid_jax.workcell.layout import home_qpos
 
-REACHING, CARRYING, LEAVING = range(3)
-"""Kinds of phases: before the object is held, while it is held, once it lies in its tray."""
+REACHING, CARRYING, LEAVING, TRANSFERRING = range(4)
+"""Kinds of segments: before the object is held; while it is held beside what it is lifted from or
+put on, which it may touch; once it lies in its tray; while it is held in between."""
 
 
 def segment_kinds(task: Task) -> np.ndarray:
     """Kind of each unit segment `[segment]`."""
     held = np.array(task.carrying)
-    return np.where(held, CARRYING, np.where(np.cumsum(held) > 0, LEAVING, REACHING))
+    kinds = np.where(held, CARRYING, np.where(np.cumsum(held) > 0, LEAVING, REACHING))
+    kinds[np.flatnonzero(held)[1:-1]] = TRANSFERRING
+    return kinds
 
 
 def placed_pose(cell: Workcell, name: str) -> np.ndarray:
@@ -47,14 +50,14 @@ def kind_scenes(
     grasp: int,
     support: tuple[str, ...],
 ) -> Scene:
-    """Scenes of the three kinds of phases, stacked in their order.
+    """Scenes of the kinds of segments, stacked in their order.
 
     Args:
         cell: any scene of the cell.
         poses: where the objects lie at first.
         name: object to be carried.
         grasp: which of its grasps is used.
-        support: fixtures that it may touch while it is held.
+        support: fixtures that it may touch where it is lifted and put down.
     """
     data = require_handling(cell)
     spec, index = data.object(name), scenes.object_index(cell, name)
@@ -63,7 +66,8 @@ def kind_scenes(
     held = scenes.with_opening(scenes.attach(before, name, hangs), spec.grip)
     put = poses.at[index].set(jnp.asarray(placed_pose(cell, name), poses.dtype))
     after = scenes.with_opening(scenes.place_objects(cell, put), data.gripper.open)
-    return stack_scenes([c.scene for c in (before, scenes.with_support(held, support), after)])
+    low, high = scenes.with_support(held, support), scenes.with_support(held, ())
+    return stack_scenes([c.scene for c in (before, low, after, high)])
 
 
 def task_scenes(cell: Workcell, task: Task) -> Scene:
@@ -83,10 +87,10 @@ def phase_scene(cell: Workcell, task: Task, kind: int) -> PhaseScene:
     if kind == LEAVING:
         index = cell.source.layout.object_names.index(task.object_name)
         poses[index] = placed_pose(cell, task.object_name)
-    if kind != CARRYING:
+    if kind in (REACHING, LEAVING):
         return PhaseScene(poses, data.gripper.open, None, None, ())
-    held = object_in_tool(spec, task.grasp)
-    return PhaseScene(poses, spec.grip, task.object_name, held, task.support)
+    held, support = object_in_tool(spec, task.grasp), task.support if kind == CARRYING else ()
+    return PhaseScene(poses, spec.grip, task.object_name, held, support)
 
 
 def home_scene(cell: Workcell) -> PhaseScene:
