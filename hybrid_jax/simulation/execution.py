@@ -9,7 +9,7 @@ import numpy as np
 
 from hybrid_jax.planner.scenes import placed_pose
 from hybrid_jax.simulation.plant import Plant, Steps
-from hybrid_jax.simulation.sensing import FINGERS, OBJECTS
+from hybrid_jax.simulation.sensing import OBJECTS
 from hybrid_jax.skills.task import Task, object_in_tool, yaw_of
 from hybrid_jax.types import Trajectory
 
@@ -89,6 +89,7 @@ class Execution:
         self.seen = plant.objects()
         self.disturb: Callable[[int], None] | None = None
         """Called once, half way to the grasp, with the object that is reached for."""
+        self.following = phases[0]
         self.gripped_at = np.zeros(3)
         self.slip = 0.0
         """Largest way of the held object in the tool [m]."""
@@ -118,7 +119,7 @@ class Execution:
 
     def follow(self, trajectory: Trajectory, grip: float, watch) -> Steps:
         """Along a trajectory, then at rest; brakes and returns an `Ending` if `watch` sees one."""
-        plant, now = self.plant, 0.0
+        plant, now, self.following = self.plant, 0.0, trajectory
         times = np.arange(plant.dt, trajectory.times[-1] + self.config.dwell, plant.dt)
         for chunk in plant.chunks(*_targets(trajectory, times), grip):
             yield from plant.step(chunk, self.allowed(grip))
@@ -141,7 +142,7 @@ class Execution:
         """Keep the configuration while the gripper or the objects move."""
         q = np.repeat(self.plant.target[None], max(1, round(seconds / self.plant.dt)), axis=0)
         for chunk in self.plant.chunks(q, np.zeros_like(q), grip):
-            yield from self.plant.step(chunk, self.at_rest())
+            yield from self.plant.step(chunk, self.plant.resting(self.object))
 
     def close(self) -> Steps:
         """Grip."""
@@ -173,8 +174,7 @@ class Execution:
         self.slip = max(self.slip, slip)
         if slip < self.config.lost_at:
             return None
-        carried = self.phases[1]
-        marks, times = carried.sources, carried.times
+        marks, times = self.following.sources, self.following.times
         switches = times[1:][marks[1:] != marks[:-1]]
         since = time - switches
         at_switch = ((since >= 0) & (since < self.config.switch_time)).any()
@@ -194,23 +194,12 @@ class Execution:
         far = (away > self.config.moved_by) | (turn > self.config.turned_by)
         return Ending.MOVED if far.any() else None
 
-    def at_rest(self) -> np.ndarray:
-        """`[mover, thing]` contacts that may be while the arm rests.
-
-        The fingers may touch the object, and objects what they lie on.
-        """
-        sensed = self.plant.sensed
-        allowed = np.zeros((len(sensed.movers), len(sensed.things)), bool)
-        allowed[OBJECTS:] = True
-        allowed[FINGERS, self.object] = True
-        return allowed
-
     def allowed(self, grip: float) -> np.ndarray:
         """`[mover, thing]` contacts that may be now.
 
         A held object may touch only what it is lifted from or put on, and only there.
         """
-        allowed, things = self.at_rest(), self.plant.sensed.things
+        allowed, things = self.plant.resting(self.object), self.plant.sensed.things
         if grip == self.gripper.open:
             return allowed
         row = OBJECTS + self.object

@@ -121,6 +121,8 @@ class Plant:
         self.target = self.data.qpos[list(self.layout.qpos)].copy()
         self.travelled: list[np.ndarray] = []
         self.touches: list[Touch] = []
+        self.counted = 0
+        """Touches before this one are another object's: a pair is noted once for each object."""
         self.frames: list[np.ndarray] = [self.data.qpos.astype(np.float32)]
         self.last: Rolled | None = None
 
@@ -198,15 +200,15 @@ class Plant:
         self.data.qpos[:] = self.state[1 : 1 + self.model.nq]
         mujoco.mj_kinematics(self.model, self.data)
         self.frames.append(self.data.qpos.astype(np.float32))
-        known = {(touch.mover, touch.thing) for touch in self.touches}
+        known = {(touch.mover, touch.thing) for touch in self.touches[self.counted :]}
         for mover, thing in np.argwhere((rolled.touching & ~allowed).any(axis=0)):
             names = self.sensed.movers[mover], self.sensed.things[thing]
             if names not in known:
                 step = int(np.argmax(rolled.touching[:, mover, thing]))
                 self.touches.append(Touch(before + (step + 1) * self.dt, *names))
 
-    def nothing_held(self, index: int) -> np.ndarray:
-        """`[mover, thing]` the contacts that may be while no object is held.
+    def resting(self, index: int) -> np.ndarray:
+        """`[mover, thing]` the contacts that may be while no object is carried.
 
         The fingers may touch the object that they reach for or leave; objects touch what they lie
         on.

@@ -8,8 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from hybrid_jax.simulation.disturbances import CALM, Disturbance, measured, push
 from hybrid_jax.simulation.execution import Ending, Execution, ExecutionConfig
-from hybrid_jax.simulation.plant import BlownUp, Plan, Plant, Steps
-from hybrid_jax.simulation.sensing import FINGERS, OBJECTS
+from hybrid_jax.simulation.plant import BlownUp, Plan, Plant, Steps, Touch
 from hybrid_jax.skills.task import handling_task
 from hybrid_jax.types import Source, Status
 
@@ -63,6 +62,7 @@ class Sorting:
         self.reports = {name: ObjectReport(name) for name in names}
         self.pushed = names[self.rng.integers(len(names))] if disturbance.push else None
         self.grasps = dict.fromkeys(names, 0)
+        self.touches: dict[str, list[Touch]] = {name: [] for name in names}
 
     def run(self) -> Steps:
         """Until every object was carried or given up; returns the reports."""
@@ -98,7 +98,7 @@ class Sorting:
 
     def _one(self, report: ObjectReport) -> Steps:
         """Bring one object to its tray, or give it up; False if there is no plan for it now."""
-        began, touched = self.plant.time, len(self.plant.touches)
+        began, self.plant.counted = self.plant.time, len(self.plant.touches)
         ended = False
         while not ended:
             execution = yield from self._plan(report)
@@ -112,12 +112,10 @@ class Sorting:
                 report.cause = ""
             else:
                 yield from self._retreat(report.name)
-            ended = ending not in AGAIN or report.tries == self.config.tries
+            ended = ending not in AGAIN or report.tries >= self.config.tries
             if ending is Ending.MISSED:
                 self._next_grasp(report.name)
-        if len(self.plant.touches) > touched:
-            report.cause = "collision"
-            report.detail = "; ".join(map(str, self.plant.touches[touched:]))
+        self.touches[report.name] += self.plant.touches[self.plant.counted :]
         report.cycle_s += self.plant.time - began
         return ended
 
@@ -165,16 +163,15 @@ class Sorting:
         moving = np.abs(np.diff(q, axis=0, prepend=q[:1])).max(axis=1) > 0
         q = np.concatenate([q[:1], q[moving], np.repeat(q[-1:], plant.tick, axis=0)])
         velocity = np.gradient(q, plant.dt, axis=0)
-        allowed = np.ones((len(plant.sensed.movers), len(plant.sensed.things)), bool)
-        allowed[:OBJECTS] = False
-        allowed[FINGERS, index] = True
         for chunk in plant.chunks(q, velocity, plant.spec.gripper.open):
-            yield from plant.step(chunk, allowed)
+            yield from plant.step(chunk, plant.resting(index))
         plant.travelled.clear()
 
     def _judge(self, report: ObjectReport) -> None:
         """Say at the end whether an object lies in its tray, and why not."""
-        lies = in_tray(self.plant, report.name)
+        lies, touches = in_tray(self.plant, report.name), self.touches[report.name]
+        if touches:
+            report.cause, report.detail = "collision", "; ".join(map(str, touches))
         if not report.cause and not lies:
             report.cause, report.detail = "wrong place", "it does not lie in its tray at the end"
         report.success = lies and not report.cause
