@@ -7,7 +7,7 @@ from hybrid_jax.compilecache import enable_compile_cache
 from hybrid_jax.errors import InputError
 from hybrid_jax.train import run_cli
 
-METHODS = ("hybrid", "paper", "lfd", "drl", "ompl", "disturbed")
+METHODS = ("hybrid", "lfd", "drl", "ompl", "disturbed", "paper")
 FIRST_SEED = 10_000
 """Of the study's scenes; nothing was tuned on those from here on."""
 
@@ -28,7 +28,7 @@ def main(
         out: JSON file to write: every run with its seed, and the metrics. A chart and the
             recordings of failed runs are put beside it.
         runs: scenes; their seeds are seed, seed + 1, ...
-        methods: hybrid, paper, lfd, drl, ompl, disturbed.
+        methods: hybrid, lfd, drl, ompl, disturbed, paper.
         seed: of the first scene.
         paper: folder of a run of preset paper, for method paper; trained into the run's folder
             if not given.

@@ -81,7 +81,8 @@ PAPER = Preset(
     ),
     planner=PlannerConfig(
         skills=SkillConfig(map="ugp_blend", distance="euclidean"),
-        fallback=None,  # the paper has no planner behind its agents
+        attempts=1,  # the paper has one route, ...
+        fallback=None,  # ... and no planner behind its agents
     ),
 )
 """The paper's tables, maps and distances; see docs/differences.md for what still differs."""
