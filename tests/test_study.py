@@ -3,6 +3,8 @@
 
 from dataclasses import replace
 
+import jax
+import mujoco
 import numpy as np
 import pytest
 
@@ -21,6 +23,7 @@ from hybrid_jax.simulation.runs import SortingReport, sort_scenes
 from hybrid_jax.simulation.sensing import sense_cell
 from hybrid_jax.simulation.sorting import ObjectReport
 from hybrid_jax.skills.task import sample_scene, yaw_of
+from hybrid_jax.types import Source, Status
 
 
 def run_of(seed: int, causes: list[str]) -> SortingReport:
@@ -61,8 +64,6 @@ def test_a_push_moves_an_object_to_a_free_place(cell):
             0.03, abs=1e-6
         )
         plant.data.qpos[:] = plant.state[1 : 1 + plant.model.nq]
-        import mujoco
-
         mujoco.mj_forward(plant.model, plant.data)
         touching = sensed.touching(plant.data.sensordata)
         assert touching[3, :5].sum() == 0, "no other object"
@@ -110,8 +111,6 @@ def test_scenes_side_by_side_are_as_one_by_one(cell, planner):
     """What becomes of a run does not depend on the runs beside it."""
 
     def plan(tasks):
-        import jax
-
         from hybrid_jax.planner.pipeline import plan_motion
 
         return [plan_motion(planner, task, key=jax.random.key(0)) for task in tasks]
@@ -120,6 +119,16 @@ def test_scenes_side_by_side_are_as_one_by_one(cell, planner):
     alone = sort_scenes(cell, plan, [2], ["block_2"])[0]
     assert both[1].success and both[0].success
     np.testing.assert_allclose(both[1].frames, alone.frames, atol=1e-6)
+
+
+def test_ompl_plans_tasks_as_our_planner_does(cell, planner, planned):
+    from hybrid_jax.planner.ompl_tasks import OmplTasks
+
+    result = OmplTasks(planner, 0.002).plan(planned[0], jax.random.key(0))
+    assert result.status is Status.OK and len(result.phases) == 3
+    assert result.shares[Source.RRT] == 1.0
+    np.testing.assert_allclose(result.phases[0].positions[0], cell.home, atol=1e-5)
+    np.testing.assert_allclose(result.phases[2].positions[-1], cell.home, atol=1e-3)
 
 
 def test_every_method_of_the_command_exists():
