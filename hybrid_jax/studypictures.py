@@ -31,9 +31,9 @@ def _bars(ax, rows: list[dict], methods: list[str]) -> None:
             ax.bar(i + shift, rate, 0.38, color=colour, label=label if i == 0 else None)
             ax.errorbar(i + shift, rate, [[rate - interval.low], [interval.high - rate]],
                         color="black", capsize=3)  # fmt: skip
-    ax.set(ylabel="share of runs", ylim=(0, 1.05), title="success")
+    ax.set(ylabel="share of runs", ylim=(0, 1.08), title="success")
     ax.set_xticks(range(len(methods)), methods)
-    ax.legend(loc="upper right")
+    ax.legend(loc="lower center", ncols=2, framealpha=1.0)
 
 
 def _causes(ax, rows: list[dict], methods: list[str]) -> None:
