@@ -33,7 +33,6 @@ def _bars(ax, rows: list[dict], methods: list[str]) -> None:
                         color="black", capsize=3)  # fmt: skip
     ax.set(ylabel="share of runs", ylim=(0, 1.08), title="success")
     ax.set_xticks(range(len(methods)), methods)
-    ax.legend(loc="lower center", ncols=2, framealpha=1.0)
 
 
 def _causes(ax, rows: list[dict], methods: list[str]) -> None:
@@ -72,5 +71,7 @@ def draw_study(path: Path, rows: list[dict]) -> None:
     fig, axes = plt.subplots(1, 2, figsize=(13, 4.4), layout="constrained")
     _bars(axes[0], rows, methods)
     _causes(axes[1], rows, methods)
+    labels = axes[0].get_legend_handles_labels()
+    fig.legend(*labels, loc="outside lower left", ncols=2, frameon=False)
     fig.savefig(path, dpi=110)
     plt.close(fig)
