@@ -62,6 +62,7 @@ PAPER = Preset(
             hidden=(64, 64),
         ),
         reach=PaperReachConfig(),
+        rollouts=(4,),
     ),
     switch=SwitchConfig(
         jump=0.0,
