@@ -63,23 +63,28 @@ def pad_costs(costs: SegmentCosts) -> SegmentCosts:
     )  # fmt: skip
 
 
-def _monotone_costs(terms: Float[Array, "l b skill i"], limit: float) -> Float[Array, "a b skill"]:
-    """Cheapest monotone matching of task features l = a..b-1 to demo features, the first fixed."""
+def _monotone_costs(terms: Float[Array, "i l b skill"], limit: float) -> Float[Array, "a b skill"]:
+    """Cheapest monotone matching of task features l = a..b-1 to demo features, the first fixed.
+
+    Demo features come one after the other; `least[a, l, b, skill]` is the cost of the cheapest
+    matching of a..l to those that have passed.
+    """
     terms = jnp.where(terms <= limit, terms, jnp.inf)
-    count = terms.shape[0]
-    rows = []
-    for a in range(count):
-        best = jnp.full(terms.shape[1:], jnp.inf).at[..., 0].set(terms[a, ..., 0])
-        row = jnp.full((count, terms.shape[2]), jnp.inf)
-        for b in range(a + 1, count):
-            row = row.at[b].set(jnp.min(best[b], axis=-1))
-            before = jax.lax.cummin(best, axis=2)
-            before = jnp.concatenate(
-                [jnp.full_like(before[..., :1], jnp.inf), before[..., :-1]], -1
-            )
-            best = before + terms[b]
-        rows.append(row)
-    return jnp.stack(rows)
+    size = terms.shape[1]
+    begins = jnp.eye(size, dtype=bool)[:, :, None, None]
+
+    def advance(least, feature):
+        term, opening = feature
+        before = jnp.concatenate([jnp.full_like(least[:, :1], jnp.inf), least[:, :-1]], axis=1)
+        return jnp.minimum(least, term + jnp.where(begins, opening, before)), None
+
+    openings = jnp.where(jnp.arange(terms.shape[0]) == 0, 0.0, jnp.inf)
+    none = jnp.full((size, *terms.shape[1:]), jnp.inf)
+    least, _ = jax.lax.scan(advance, none, (terms, openings))
+    ends = jnp.arange(1, size)
+    return jnp.full((size, size, terms.shape[3]), jnp.inf).at[:, ends].set(
+        least[:, ends - 1, ends]
+    )
 
 
 def _task_features(key_poses: Array) -> Float[Array, "l b 8"]:
@@ -89,13 +94,13 @@ def _task_features(key_poses: Array) -> Float[Array, "l b 8"]:
     return dq.mul(dq.conj(grid), jnp.swapaxes(grid, 0, 1))
 
 
-def _terms(wanted: Array, demo: Array, config: SkillConfig) -> Float[Array, "l b skill i"]:
+def _terms(wanted: Array, demo: Array, config: SkillConfig) -> Float[Array, "i l b skill"]:
     """Distance of every task feature to every demonstrated feature [m]; inf where l >= b."""
-    compare = jax.vmap(BETAS[config.distance], (None, 0))  # i
-    compare = jax.vmap(compare, (None, 0))  # skill
     ahead = np.triu_indices(wanted.shape[0], 1)
-    found = jax.vmap(compare, (0, None))(wanted[ahead], demo)
-    return jnp.full((*wanted.shape[:2], *demo.shape[:2]), jnp.inf).at[ahead].set(found)
+    seen = jnp.transpose(demo, (2, 1, 0))[:, :, None]
+    found = BETAS[config.distance](wanted[ahead].T[:, None, :, None], seen)
+    shape = (found.shape[0], *wanted.shape[:2], found.shape[2])
+    return jnp.full(shape, jnp.inf).at[:, *ahead].set(found)
 
 
 def _usable(library: SkillLibrary, carrying: Array, count: Array) -> Bool[Array, "a b skill"]:
@@ -133,7 +138,7 @@ def segment_costs(
         for limit in (config.tolerance, 1e6)
     )
     skills = jnp.arange(demo.shape[0])
-    back = jnp.broadcast_to(dq.conj(wanted)[:, :, None], (*terms.shape[:3], 8))
+    back = jnp.broadcast_to(dq.conj(wanted)[:, :, None], (*terms.shape[1:], 8))
     first = dq.log(dq.mul(back, jnp.broadcast_to(demo[:, 0], back.shape)))
-    near = dq.log(dq.mul(back, demo[skills, jnp.argmin(terms, axis=-1)]))
+    near = dq.log(dq.mul(back, demo[skills, jnp.argmin(terms, axis=0)]))
     return SegmentCosts(jnp.asarray(count), cost, nearest, first, near)

@@ -26,14 +26,9 @@ def match_indices(
     """Points of a demonstration that stand for key poses a..b: the matching behind the cost."""
     demo = library.poses[skill]
     seen = dq.mul(dq.conj(demo[:-1]), jnp.broadcast_to(demo[-1], demo[:-1].shape))
-    distance = jax.vmap(BETAS[config.distance], (None, 0))
-    goal = jnp.asarray(key_poses[b])
-    terms = np.stack(
-        [
-            np.asarray(distance(dq.mul(dq.conj(jnp.asarray(key_poses[p])), goal), seen))
-            for p in range(a, b)
-        ]
-    )
+    starts = jnp.asarray(key_poses[a:b])
+    wanted = dq.mul(dq.conj(starts), jnp.broadcast_to(key_poses[b], starts.shape))
+    terms = np.asarray(BETAS[config.distance](wanted.T[:, :, None], seen.T[:, None]))
     best, choice = np.full(terms.shape, np.inf), np.zeros(terms.shape, int)
     best[0, 0] = terms[0, 0]
     for r in range(1, len(terms)):

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
+from hybrid_jax.kernels import components as co
 from hybrid_jax.kernels import dualquat as dq
 
 
@@ -13,23 +14,42 @@ def features(poses: Float[Array, "point 8"]) -> Float[Array, "step 8"]:
     return dq.mul(dq.conj(poses[:-1]), jnp.broadcast_to(poses[-1], poses[:-1].shape))
 
 
-def beta(a: Float[Array, "8"], b: Float[Array, "8"], length: float = 0.3) -> Float[Array, ""]:
-    """Distance of two features: weighted norm of the screw between them [m].
+def beta(a: Float[Array, "8 *b"], b: Float[Array, "8 *b"], length: float = 0.3) -> Array:
+    """Distance of features: weighted norm of the screw between them `[*b]` [m].
+
+    The screw's translational part, `V^-1 t` of arXiv:1812.01537 (Appendix D), keeps what `t` has
+    along the axis of a rotation by `2 h`, and stretches the rest by `h / sin(h)`.
 
     Args:
-        a, b: features, unit dual quaternions.
+        a, b: features by components, unit dual quaternions; their shapes are broadcast.
         length: metres that count as one radian.
     """
-    twist = dq.log(dq.mul(dq.conj(a), b))
-    sq = jnp.sum(twist[:3] ** 2) + length**2 * jnp.sum(twist[3:] ** 2)
-    return jnp.sqrt(jnp.maximum(sq, 1e-20))
+    turn = co.quat_mul(b[:4], _conjugate(a[:4]))
+    way = co.sub(_position(b), _position(a))
+    sine_squared = co.dot(turn[1:], turn[1:])
+    half = jnp.arctan2(jnp.sqrt(sine_squared), jnp.abs(turn[0]))
+    small = sine_squared < 1e-10
+    safe = jnp.where(small, 1.0, sine_squared)
+    stretch = jnp.where(small, 1.0, half * half / safe)
+    along = jnp.where(small, 0.0, jnp.square(co.dot(turn[1:], way)) / safe)
+    square = stretch * co.dot(way, way) + (1 - stretch) * along + (2 * length * half) ** 2
+    return jnp.sqrt(jnp.maximum(square, 1e-20))
 
 
-def beta_euclidean(a: Float[Array, "8"], b: Float[Array, "8"], length: float = 0.3) -> Array:
+def _conjugate(quat):
+    return (quat[0], *co.scale(quat[1:], -1.0))
+
+
+def _position(pose):
+    return co.scale(co.quat_mul(pose[4:], _conjugate(pose[:4]))[1:], 2.0)
+
+
+def beta_euclidean(a: Float[Array, "8 *b"], b: Float[Array, "8 *b"], length: float = 0.3) -> Array:
     """The paper's distance: Euclidean on the eight components, over both signs."""
     del length
-    return jnp.minimum(jnp.linalg.norm(a - b), jnp.linalg.norm(a + b))
+    apart, other = (sum(jnp.square(a[k] + sign * b[k]) for k in range(8)) for sign in (-1, 1))
+    return jnp.sqrt(jnp.minimum(apart, other))
 
 
 BETAS = {"screw": beta, "euclidean": beta_euclidean}
-"""Distances by the name used in configurations."""
+"""Distances by the name used in configurations; they take components first."""
