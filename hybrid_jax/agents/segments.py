@@ -8,6 +8,7 @@ from jax import Array
 
 from hybrid_jax.errors import SegmentError
 from hybrid_jax.kernels.collision import clearance
+from hybrid_jax.kernels.edges import clearances_in_scenes
 from hybrid_jax.types import Scene, Workcell, pytree
 
 PAIRS = 4096
@@ -63,13 +64,6 @@ def free_pairs(cell: Workcell, scenes: Segments, count: int = PAIRS) -> Segments
     return take(join(found), slice(count))
 
 
-@jax.jit
-def _end_gaps(cell: Workcell, segments: Segments) -> dict[str, Array]:
-    """Clearance `[segment]` at both ends [m]."""
-    inside = jax.vmap(lambda scene, q: clearance(cell.replace(scene=scene), q))
-    return {end: inside(segments.scene, getattr(segments, end)) for end in ("start", "goal")}
-
-
 def refuse_infeasible(cell: Workcell, segments: Segments, margin: float) -> None:
     """Raise if an end of a segment violates the joint limits or has less clearance than `margin`.
 
@@ -77,8 +71,10 @@ def refuse_infeasible(cell: Workcell, segments: Segments, margin: float) -> None
         SegmentError: names the segment, its end, and the joint or the clearance.
     """
     low, high = np.asarray(cell.joint_limits).T
-    for end, gaps in jax.device_get(_end_gaps(cell, segments)).items():
+    every = np.arange(len(segments.start))
+    for end in ("start", "goal"):
         q = np.asarray(getattr(segments, end))
+        gaps = clearances_in_scenes(cell, segments.scene, every, q)
         # a finite difference within float32's rounding is no violation
         outside = ~((q >= low - 1e-5) & (q <= high + 1e-5))
         for i, joint in np.argwhere(outside)[:1]:

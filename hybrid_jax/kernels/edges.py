@@ -6,6 +6,9 @@ chain, so the clearance at one sample proves a stretch of the edge free (conserv
 Mirtich 1996; Schwarzer, Saha and Latombe 2005 use the same bound).
 """
 
+import functools
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -22,7 +25,9 @@ PIECE = 0.1
 SPLIT = 8
 """... each of which is split in so many at most where it comes close to something."""
 CHECKED = 64, 256
-"""Configurations that `path_clearance` takes in one call: few traces for all paths."""
+"""Configurations of one scene that are measured in one call, few or many, ..."""
+CHECKED_IN_SCENES = 64, 512
+"""... and of several."""
 FAR_ENOUGH = 0.05
 """Clearances beyond this are not told apart [m]."""
 
@@ -89,27 +94,53 @@ def edge_is_free(
 
 
 @jax.jit
-def _reach(cell: Workcell, scene: Scene) -> Array:
-    return motion_reach(cell.replace(scene=scene))
-
-
-@jax.jit
 def _batch_clearance(cell: Workcell, scene: Scene, q: Float[Array, "point n"], enough: Array):
     inside = cell.replace(scene=scene)
     return jax.vmap(lambda one: clearance_up_to(inside, one, enough))(q)
 
 
-def path_clearance(cell: Workcell, q: np.ndarray, enough: float = FAR_ENOUGH) -> np.ndarray:
-    """Clearance at each configuration `[point]`, at most `enough` [m]."""
+@jax.jit
+def _scene_clearance(cell: Workcell, scenes: Scene, q: Float[Array, "point n"], enough: Array):
+    own = lambda scene, one: clearance_up_to(cell.replace(scene=scene), one, enough)  # noqa: E731
+    return jax.vmap(own)(scenes, q)
+
+
+def _in_calls(measure: Callable, q: np.ndarray, sizes: tuple[int, int]) -> np.ndarray:
+    """`measure(rows, q[rows])` of all points, so many in one call: few traces for all paths."""
     out, start = [np.zeros(0, np.float32)], 0
     while start < len(q):
-        size = next((n for n in CHECKED if n >= len(q) - start), CHECKED[-1])
-        part = q[start : start + size].astype(np.float32)
-        padded = np.concatenate([part, part[-1:].repeat(size - len(part), 0)])
-        found = _batch_clearance(cell, cell.scene, padded, np.float32(enough))
-        out.append(np.asarray(found)[: len(part)])
+        size = next((n for n in sizes if n >= len(q) - start), sizes[-1])
+        rows = np.minimum(np.arange(start, start + size), len(q) - 1)
+        out.append(np.asarray(measure(rows, q[rows].astype(np.float32)))[: len(q) - start])
         start += size
     return np.concatenate(out)
+
+
+def path_clearance(cell: Workcell, q: np.ndarray, enough: float = FAR_ENOUGH) -> np.ndarray:
+    """Clearance at each configuration `[point]`, at most `enough` [m]."""
+    most = np.float32(enough)
+    return _in_calls(lambda _, q: _batch_clearance(cell, cell.scene, q, most), q, CHECKED)
+
+
+def clearances_in_scenes(
+    cell: Workcell, scenes: Scene, which: np.ndarray, q: np.ndarray, enough: float = FAR_ENOUGH
+) -> np.ndarray:
+    """The same where each configuration has its scene.
+
+    Args:
+        cell: robot and fixtures.
+        scenes: stacked.
+        which: `[point]` scene of each configuration.
+        q: `[point, joint]`.
+        enough: larger clearances are not told apart [m].
+    """
+    scenes, most = jax.device_get(scenes), np.float32(enough)
+
+    def measure(rows, q):
+        own = jax.tree.map(lambda a: a[which[rows]], scenes)
+        return _scene_clearance(cell, own, q, most)
+
+    return _in_calls(measure, q, CHECKED_IN_SCENES)
 
 
 def _split(q: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -124,13 +155,59 @@ def _split(q: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
     return q[edge, :1] + share * (q[edge, 1:] - q[edge, :1]), edge, number > 0
 
 
+def _prove(
+    measure: Callable, reach: np.ndarray, paths: list[np.ndarray], margin: float, tolerance: float
+) -> np.ndarray:
+    """Which polylines are proven to keep a margin on all their edges.
+
+    The clearances at the ends of a piece prove it where together they exceed what any point of the
+    robot moves along it. Where they do not, it is split. All paths go through this together.
+
+    Args:
+        measure: `(path [n], q [n, joint], enough)` to clearances `[n]`.
+        reach: `[path, joint]`, see `motion_reach`.
+        paths: way points of each; one alone counts as free.
+        margin, tolerance: see `path_is_free`.
+    """
+    paths = [np.asarray(path, float) for path in paths]
+    owner = np.repeat(np.arange(len(paths)), [len(path) - 1 for path in paths])
+    pieces = np.concatenate([np.stack([path[:-1], path[1:]], axis=1) for path in paths])
+    enough = PIECE / 2 + margin + tolerance
+
+    def moved():
+        return np.sum(np.abs(pieces[:, 1] - pieces[:, 0]) * reach[owner], axis=1)
+
+    pieces, edge, _ = _split(pieces, np.maximum(1, np.ceil(moved() / PIECE)).astype(int))
+    owner = owner[edge]
+    first = np.diff(owner, prepend=-1) > 0  # of its path
+    starts = measure(owner[first], pieces[first, 0], enough) - margin
+    gaps = np.empty((len(pieces), 2))
+    gaps[:, 1] = measure(owner, pieces[:, 1], enough) - margin
+    gaps[1:, 0] = gaps[:-1, 1]
+    gaps[first, 0] = starts
+    free = np.ones(len(paths), bool)
+    while True:
+        free[owner[(gaps < tolerance).any(axis=1)]] = False
+        way, sure = moved(), gaps.sum(axis=1)
+        open_ = free[owner] & (way > sure)
+        if not open_.any():
+            return free
+        counts = np.clip(np.ceil(way[open_] / sure[open_]), 2, SPLIT).astype(int)
+        pieces, edge, inner = _split(pieces[open_], counts)
+        owner, gaps = owner[open_][edge], gaps[open_][edge]
+        gaps[inner, 0] = measure(owner[inner], pieces[inner, 0], enough) - margin
+        gaps[:-1, 1] = np.where(inner[1:], gaps[1:, 0], gaps[:-1, 1])
+
+
+@jax.jit
+def _reach(cell: Workcell, scene: Scene) -> Array:
+    return motion_reach(cell.replace(scene=scene))
+
+
 def path_is_free(
     cell: Workcell, q: Float[np.ndarray, "point n"], margin: float = 0.0, tolerance: float = 1e-3
 ) -> bool:
     """Is a polyline proven to keep a margin on all its edges?
-
-    The clearances at the ends of a piece prove it where together they exceed what any point of the
-    robot moves along it. Where they do not, it is split.
 
     Args:
         cell: in the scene of the path.
@@ -138,33 +215,23 @@ def path_is_free(
         margin: clearance to keep [m].
         tolerance: a path that comes this close to the margin counts as blocked [m].
     """
-    if len(q) < 2:
-        return True
-    reach, enough = np.asarray(_reach(cell, cell.scene), float), PIECE / 2 + margin + tolerance
-    pieces = np.stack([q[:-1], q[1:]], axis=1).astype(float)
-    moved = lambda pieces: np.abs(pieces[:, 1] - pieces[:, 0]) @ reach  # noqa: E731
-    pieces = _split(pieces, np.maximum(1, np.ceil(moved(pieces) / PIECE)).astype(int))[0]
-    ends = path_clearance(cell, np.concatenate([pieces[:, 0], pieces[-1:, 1]]), enough) - margin
-    gaps = np.stack([ends[:-1], ends[1:]], axis=1)
-    while (gaps >= tolerance).all():
-        way, sure = moved(pieces), gaps.sum(axis=1)
-        open_ = way > sure
-        if not open_.any():
-            return True
-        counts = np.clip(np.ceil(way / sure)[open_], 2, SPLIT).astype(int)
-        pieces, edge, inner = _split(pieces[open_], counts)
-        gaps = gaps[open_][edge]
-        gaps[inner, 0] = path_clearance(cell, pieces[inner, 0], enough) - margin
-        gaps[:-1, 1] = np.where(inner[1:], gaps[1:, 0], gaps[:-1, 1])
-    return False
+    reach = np.asarray(_reach(cell, cell.scene), float)[None]
+    measure = lambda _, q, enough: path_clearance(cell, q, enough)  # noqa: E731
+    return bool(_prove(measure, reach, [q], margin, tolerance)[0])
 
 
 def paths_are_free(
-    cell: Workcell, scenes: Scene, paths: list[np.ndarray], margin: float = 0.0
+    cell: Workcell,
+    scenes: Scene,
+    paths: list[np.ndarray],
+    margin: float = 0.0,
+    tolerance: float = 1e-3,
 ) -> np.ndarray:
     """`path_is_free` of several paths, each in its own scene, stacked: `[path]`."""
-    free = np.ones(len(paths), bool)
-    for i, path in enumerate(paths):
-        scene = jax.tree.map(lambda a, i=i: np.asarray(a)[i], scenes)
-        free[i] = path_is_free(cell.replace(scene=scene), path, margin)
-    return free
+    if not paths:
+        return np.ones(0, bool)
+    scenes = jax.device_get(scenes)
+    each = (jax.tree.map(lambda a, i=i: a[i], scenes) for i in range(len(paths)))
+    reach = np.stack([np.asarray(_reach(cell, scene), float) for scene in each])
+    measure = functools.partial(clearances_in_scenes, cell, scenes)
+    return _prove(measure, reach, paths, margin, tolerance)

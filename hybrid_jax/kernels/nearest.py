@@ -97,15 +97,23 @@ def _counts(pairing: Pairing) -> Array:
     return pairing.allowed.T[:, :, None] * (1 - spared)
 
 
+def _column_counts(pairing: Pairing, index: Array) -> Array:
+    """`_counts` of one column, `[row, 1 or b]`: all of a batch whose scenes differ are many."""
+    allowed, support = (
+        jax.lax.dynamic_index_in_dim(a, index, keepdims=False)
+        for a in (pairing.allowed.T, pairing.support)
+    )
+    return allowed[:, None] * (1 - pairing.payload[:, None] * (1 - support))
+
+
 def row_bounds(rows: Rows, blocks: Blocks, pairing: Pairing, best: Array) -> Array:
     """Smallest bound of each row over the columns, `[row, b]`, starting from `best`."""
-
-    counts, count = _counts(pairing), blocks.radius.shape[0]
+    count = blocks.radius.shape[0]
     bound = _rough_bound if count >= _MANY else _bound
 
     def step(i, best):
         found = bound(rows.centre, rows.extent, rows.radius, _column(blocks, i))
-        return jnp.minimum(best, jnp.where(counts[i] > 0, found, FAR))
+        return jnp.minimum(best, jnp.where(_column_counts(pairing, i) > 0, found, FAR))
 
     return jax.lax.fori_loop(0, count, step, best, unroll=_unroll(count))
 

@@ -3,9 +3,10 @@
 
 from dataclasses import dataclass
 
+import jax
 import numpy as np
 
-from hybrid_jax.kernels.edges import path_clearance, path_is_free
+from hybrid_jax.kernels.edges import path_clearance, path_is_free, paths_are_free
 from hybrid_jax.planner import checking, combining, smoothing, timing
 from hybrid_jax.planner.bridging import Way
 from hybrid_jax.planner.checking import PhaseScene
@@ -63,6 +64,9 @@ def phase_path(
 
 def _candidates(planner: Planner, cell: Workcell, phase: PhasePath):
     """Joint paths of a phase with their sources: the switch's choice, then the designed seams."""
+    if not phase.windows:  # there is nothing to choose
+        yield combining.follow_windows(phase)
+        return
     combined = combining.combine(cell, phase, planner.scale)
     choice = planner.switch(combined)
     yield combining.assemble(choice, phase)
@@ -83,7 +87,11 @@ def time_path(
 
 
 def motion_faults(
-    cell: Workcell, engine: checking.Engine, scene: PhaseScene, trajectory: Trajectory
+    cell: Workcell,
+    engine: checking.Engine,
+    scene: PhaseScene,
+    trajectory: Trajectory,
+    free: bool | None = None,
 ) -> list[str]:
     """What the final check finds wrong with a trajectory in a scene.
 
@@ -95,10 +103,13 @@ def motion_faults(
         engine: with the thresholds.
         scene: for the engine.
         trajectory: to be judged.
+        free: did the kernels prove it? They are asked where this is not given.
     """
     faults = checking.limit_faults(cell, trajectory, engine.config)
     points = checking.checked_points(trajectory.positions, engine.config.max_step)
-    if not path_is_free(cell, points, tolerance=PROVEN):
+    if free is None:
+        free = path_is_free(cell, points, tolerance=PROVEN)
+    if not free:
         gap = path_clearance(cell, points).min()
         where = "between the points that are looked at it is not proven free; there, "
         faults.append(f"{where if gap >= 0 else ''}clearance falls to {1e3 * gap:.1f} mm")
@@ -112,25 +123,25 @@ def find_faults(
     task: Task,
     number: int,
     trajectory: Trajectory,
+    free: bool | None = None,
 ) -> list[str]:
     """What the final check finds wrong with a phase of a task; the cell is in its scene.
 
     Args:
         cell, engine: that see it.
         task, number: what the phase is to do.
-        trajectory: how it does it.
+        trajectory, free: how it does it, see `motion_faults`.
     """
     low, high = task.phases[number]
     scene = phase_scene(cell, task, int(segment_kinds(task)[low]))
-    faults = motion_faults(cell, engine, scene, trajectory)
+    faults = motion_faults(cell, engine, scene, trajectory, free)
     rows = {k: checking.pose_row(task.key_poses[k]) for k in range(low + 1, high + 1)}
     path = trajectory.positions
-    missed = [
-        checking.passing_fault(engine, scene, path, rows[k], f"key pose {k}")
-        for k in range(low + 1, high)
-    ]
-    missed.append(checking.pose_fault(engine, scene, path[-1], rows[high], f"key pose {high}"))
-    return faults + [fault for fault in missed if fault]
+    faults += checking.passing_faults(
+        engine, path, {f"key pose {k}": rows[k] for k in range(low + 1, high)}
+    )
+    missed = checking.pose_fault(engine, path[-1], rows[high], f"key pose {high}")
+    return [*faults, missed] if missed else faults
 
 
 def finish_phases(
@@ -160,10 +171,29 @@ def finish_phases(
         timed = timing.time_parameterize(
             planner.cell, [smooth[i] for i in kept], planner.config.timing
         )
-        for i, trajectory in zip(kept, timed, strict=True):
-            if trajectory is None:
-                continue
-            faults = find_faults(cells[i], engine, drafts[i].task, drafts[i].number, trajectory)
-            found[i] = Fault(Status.COLLISION, "; ".join(faults)) if faults else trajectory
+        moving = {i: motion for i, motion in zip(kept, timed, strict=True) if motion is not None}
+        free = _proven(planner.cell, engine, {i: drafts[i] for i in moving}, moving)
+        for i, motion in moving.items():
+            task, number = drafts[i].task, drafts[i].number
+            faults = find_faults(cells[i], engine, task, number, motion, free[i])
+            found[i] = Fault(Status.COLLISION, "; ".join(faults)) if faults else motion
         going = [i for i in going if isinstance(found[i], Fault)]
     return found
+
+
+def _proven(
+    cell: Workcell,
+    engine: checking.Engine,
+    drafts: dict[int, Draft],
+    motions: dict[int, Trajectory],
+) -> dict[int, bool]:
+    """Which motions the kernels prove free, each in the scene of its draft."""
+    firsts = [(draft.scenes, draft.task.phases[draft.number][0]) for draft in drafts.values()]
+    scenes = [jax.tree.map(lambda a, k=k: a[k], scenes) for scenes, k in firsts]
+    points = [
+        checking.checked_points(motion.positions, engine.config.max_step)
+        for motion in motions.values()
+    ]
+    stacked = jax.tree.map(lambda *a: np.stack(a), *scenes) if scenes else None
+    free = paths_are_free(cell, stacked, points, tolerance=PROVEN)
+    return dict(zip(drafts, free.tolist(), strict=True))
