@@ -115,15 +115,15 @@ class Engine:
         self.data = mujoco.MjData(model)
         self.masks = model.geom_contype.copy(), model.geom_conaffinity.copy()
         self.robot = np.asarray(moved_geoms(model, self.layout), bool)
-        self.joints = list(self.layout.qpos)
+        self.qpos, self.joints = self.data.qpos, np.asarray(self.layout.qpos)
         self.fingers = [model.jnt_qposadr[j] for j in self.layout.fingers]
 
     def enter(self, scene: PhaseScene) -> None:
         """Put the objects and the fingers where they are in a phase."""
         self.scene = scene
         for address, pose in zip(self.layout.object_qpos, scene.poses, strict=True):
-            self.data.qpos[address : address + 7] = pose
-        self.data.qpos[self.fingers] = scene.opening
+            self.qpos[address : address + 7] = pose
+        self.qpos[self.fingers] = scene.opening
         names = self.layout.object_names
         self.object = names.index(scene.held) if scene.held else -1
         self.held_body = self.layout.object_bodies[self.object] if scene.held else -1
@@ -148,20 +148,20 @@ class Engine:
 
     def place(self, q: np.ndarray) -> None:
         """Put the arm, and what it holds, in a configuration."""
-        self.data.qpos[self.joints] = q
-        mujoco.mj_kinematics(self.model, self.data)
+        self._move(q)
         if self.scene.held:
             self._hang()
 
+    def _move(self, q: np.ndarray) -> None:
+        self.qpos[self.joints] = q
+        mujoco.mj_kinematics(self.model, self.data)
+
     def _hang(self) -> None:
         data, site = self.data, self.layout.tool_site
-        held = np.asarray(self.scene.held_in_tool, float)
-        turn, quat, position = np.empty(4), np.empty(4), np.empty(3)
+        held, turn = np.asarray(self.scene.held_in_tool, float), np.empty(4)
         mujoco.mju_mat2Quat(turn, data.site_xmat[site])
-        mujoco.mju_mulPose(position, quat, data.site_xpos[site], turn,
-                           held[:3], held[3:])  # fmt: skip
-        address = self.layout.object_qpos[self.object]
-        data.qpos[address : address + 7] = np.concatenate([position, quat])
+        pose = self.qpos[self.layout.object_qpos[self.object] :][:7]
+        mujoco.mju_mulPose(pose[:3], pose[3:], data.site_xpos[site], turn, held[:3], held[3:])
         mujoco.mj_kinematics(self.model, data)
 
     def collision(self, q: np.ndarray) -> str | None:
@@ -193,16 +193,14 @@ class Engine:
         return not (self.robot[other] or self._body(other) in self.scene.support)
 
     def position(self, q: np.ndarray) -> np.ndarray:
-        """Of the tool [m]."""
-        self.place(q)
+        """Of the tool [m], whatever the scene."""
+        self._move(q)
         return self.data.site_xpos[self.layout.tool_site].copy()
 
-    def tool(self, q: np.ndarray) -> tuple[np.ndarray, Rotation]:
-        """Position [m] and rotation of the tool."""
-        self.place(q)
-        site = self.layout.tool_site
-        turn = Rotation.from_matrix(self.data.site_xmat[site].reshape(3, 3))
-        return self.data.site_xpos[site].copy(), turn
+    def turn(self, q: np.ndarray) -> Rotation:
+        """Rotation of the tool, whatever the scene."""
+        self._move(q)
+        return Rotation.from_matrix(self.data.site_xmat[self.layout.tool_site].reshape(3, 3))
 
 
 def pose_row(pose: np.ndarray) -> np.ndarray:
@@ -224,37 +222,39 @@ def collision_fault(engine: Engine, scene: PhaseScene, positions: np.ndarray) ->
     return None
 
 
-def pose_fault(
-    engine: Engine, scene: PhaseScene, q: np.ndarray, pose: np.ndarray, name: str
-) -> str | None:
+def pose_fault(engine: Engine, q: np.ndarray, pose: np.ndarray, name: str) -> str | None:
     """A sentence if a configuration misses a pose `[7]` (position [m], quaternion); else None."""
-    engine.enter(scene)
-    position, turn = engine.tool(q)
-    away = float(np.linalg.norm(position - pose[:3]))
+    away = float(np.linalg.norm(engine.position(q) - pose[:3]))
     config = engine.config
     return _missed(
-        name, away, _angle(turn, pose), config.position_tolerance, config.rotation_tolerance
-    )
+        name, away, _angle(engine.turn(q), pose),
+        config.position_tolerance, config.rotation_tolerance,
+    )  # fmt: skip
 
 
-def passing_fault(
-    engine: Engine, scene: PhaseScene, positions: np.ndarray, pose: np.ndarray, name: str
-) -> str | None:
-    """A sentence if a joint path `[point, joint]` does not pass a pose `[7]`; else None."""
-    engine.enter(scene)
-    path = checked_points(positions, engine.config.max_step)
+def passing_faults(
+    engine: Engine, positions: np.ndarray, poses: dict[str, np.ndarray]
+) -> list[str]:
+    """Sentences about the named poses `[7]` that a joint path `[point, joint]` does not pass."""
+    if not poses:
+        return []
+    path, config = checked_points(positions, engine.config.max_step), engine.config
     tools = np.array([engine.position(q) for q in path])
-    # nearest places on the straight lines between the tool's positions
     way = np.diff(tools, axis=0)
-    along = np.sum((pose[:3] - tools[:-1]) * way, axis=1)
-    share = np.clip(along / np.maximum(np.sum(way**2, axis=1), 1e-12), 0, 1)[:, None]
-    away = np.linalg.norm(tools[:-1] + share * way - pose[:3], axis=1)
-    at = int(np.argmin(away))
-    _, turn = engine.tool(path[at] + share[at] * (path[at + 1] - path[at]))
-    config = engine.config
-    return _missed(
-        name, float(away[at]), _angle(turn, pose), config.passing_position, config.passing_rotation
-    )
+    faults = []
+    for name, pose in poses.items():
+        # nearest places on the straight lines between the tool's positions
+        along = np.sum((pose[:3] - tools[:-1]) * way, axis=1)
+        share = np.clip(along / np.maximum(np.sum(way**2, axis=1), 1e-12), 0, 1)[:, None]
+        away = np.linalg.norm(tools[:-1] + share * way - pose[:3], axis=1)
+        at = int(np.argmin(away))
+        turn = engine.turn(path[at] + share[at] * (path[at + 1] - path[at]))
+        fault = _missed(
+            name, float(away[at]), _angle(turn, pose),
+            config.passing_position, config.passing_rotation,
+        )  # fmt: skip
+        faults += [fault] if fault else []
+    return faults
 
 
 def _angle(turn: Rotation, pose: np.ndarray) -> float:
