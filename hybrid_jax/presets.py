@@ -82,6 +82,7 @@ PAPER = Preset(
     ),
     planner=PlannerConfig(
         skills=SkillConfig(map="ugp_blend", distance="euclidean"),
+        quick=None,
         attempts=1,  # the paper has one route, ...
         fallback=None,  # ... and no planner behind its agents
     ),

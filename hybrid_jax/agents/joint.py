@@ -13,7 +13,7 @@ from jax import Array
 from hybrid_jax.agents import networks, ppo, sac, worlds
 from hybrid_jax.agents.segments import Segments, refuse_infeasible, take
 from hybrid_jax.kernels.batching import padded_chunks
-from hybrid_jax.kernels.collision import clearance
+from hybrid_jax.kernels.collision import clearance_up_to
 from hybrid_jax.kernels.edges import paths_are_free
 from hybrid_jax.keys import fold_in
 from hybrid_jax.simulation.paperreach import PaperReachConfig, PaperReachWorld
@@ -174,8 +174,8 @@ def _best_first(
     shortest = jnp.argsort(length)[: config.candidates]
     length = length[shortest]
     paths = jnp.swapaxes(q[:, shortest], 0, 1)
-    gaps = jax.vmap(jax.vmap(lambda point: clearance(inside, point)))(paths)
-    gap = jnp.minimum(jnp.min(gaps, axis=1), config.ample_clearance)
+    measure = lambda point: clearance_up_to(inside, point, config.ample_clearance)  # noqa: E731
+    gap = jnp.min(jax.vmap(jax.vmap(measure))(paths), axis=1)
     order = jnp.argsort(length - config.clearance_worth * gap)
     return paths[order], jnp.isfinite(length)[order]
 

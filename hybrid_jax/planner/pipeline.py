@@ -24,6 +24,8 @@ from hybrid_jax.planner.scenes import task_scenes
 from hybrid_jax.skills.task import Task
 from hybrid_jax.types import Scene, Status, Trajectory
 
+SEARCHED = {Status.TASK_INFEASIBLE, Status.DRL_TIMEOUT, Status.SEAM_FAILED, Status.COLLISION}
+"""What a search may end with that did not look far enough."""
 PARTS, LEAST_PART = 2, 16
 """Parts of a batch that are planned side by side, and the tasks that one must have."""
 
@@ -90,6 +92,21 @@ def plan_batch(planner: Planner, tasks: Sequence[Task], *, key: Array) -> list[P
 
 
 def _plan_part(planner: Planner, tasks: Sequence[Task], key: Array) -> list[PlanResult]:
+    """A quick look at all tasks, then a thorough one at those that it leaves without a plan."""
+    config = planner.config
+    if config.quick is None:
+        return _plan_once(planner, tasks, key)
+    quick = replace(planner, config=replace(config, labels=config.quick))
+    results = _plan_once(quick, tasks, key)
+    left = [i for i, result in enumerate(results) if result.status in SEARCHED]
+    if left:
+        again = _plan_once(planner, [tasks[i] for i in left], fold_in(key, len(tasks)))
+        for i, result in zip(left, again, strict=True):
+            results[i] = result
+    return results
+
+
+def _plan_once(planner: Planner, tasks: Sequence[Task], key: Array) -> list[PlanResult]:
     key_label, key_bridge = split(key, 2)
     engine, config = Engine(planner.cell, planner.config.check), planner.config
     results, jobs = prepare(planner, engine, tasks, key_label)

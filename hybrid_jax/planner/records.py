@@ -2,7 +2,7 @@
 """What a planner consists of, and what it answers."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -27,6 +27,11 @@ class PlannerConfig:
 
     skills: SkillConfig = SkillConfig()
     labels: LabelConfig = LabelConfig()
+    quick: LabelConfig | None = replace(
+        LabelConfig(), candidates=2, search=replace(LabelConfig().search, seeds=12)
+    )
+    """How tasks are labelled at first; `labels` follows where that leaves no plan. None leaves this
+    look out."""
     smoothing: SmoothingConfig = SmoothingConfig()
     timing: TimingConfig = TimingConfig()
     check: CheckConfig = CheckConfig()
