@@ -151,7 +151,9 @@ def batch(learned: Learned, count: int) -> list[dict]:
             bad += rejected(cell, engine, task, result) if result.phases else 0
         print(f"batch of 256: {rates[-1]:.1f} plans/s, {bad} of {checked} rejected", flush=True)
     return [
-        metric("planning.batch_plans_per_second", max(rates), "1/s", "higher", "256 tasks"),
+        metric("planning.batch_plans_per_second", float(np.median(rates[1:] or rates)), "1/s",
+               "higher", f"256 tasks; median of {len(rates)} batches but the first, which "
+               f"compiles; best {max(rates):.1f}"),
         metric("planning.rejected", bad, "1", "lower",
                f"of {checked} returned trajectories, by a check four times as dense"),
     ]  # fmt: skip

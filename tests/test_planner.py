@@ -81,6 +81,19 @@ def test_trajectories_are_consistent_and_within_limits(cell, planned):
         assert checking.limit_faults(cell, trajectory) == []
 
 
+def test_a_task_that_the_quick_look_leaves_open_is_looked_at_again(planner, planned):
+    """No step of inverse kinematics at first, then as many as usual."""
+    task, _ = planned
+    one = replace(planner.config.quick.search, seeds=1, iterations=1)
+    blind = replace(planner.config.quick, candidates=1, search=one)
+    alone = replace(planner.config, quick=None, labels=blind)
+    result = plan_motion(replace(planner, config=alone), task, key=jax.random.key(0))
+    assert result.status is not Status.OK
+    both = replace(planner.config, quick=blind, labels=planner.config.quick)
+    result = plan_motion(replace(planner, config=both), task, key=jax.random.key(0))
+    assert result.status is Status.OK
+
+
 def test_skills_alone_do_not_get_around_the_wall(planner):
     task = random_task(planner.cell, 4)
     result = plan_motion(lfd_only(planner), task, key=jax.random.key(0))

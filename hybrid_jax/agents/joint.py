@@ -23,8 +23,10 @@ from hybrid_jax.types import Workcell
 Bridger = Callable[[Segments, Array], list[np.ndarray | None]]
 """(segments, key) to collision-free way points from start to goal of each, or None."""
 
-TOGETHER = 8
+TOGETHER = 16
 """Segments that are bridged in one call."""
+RANKED = 32
+"""Way points of a rollout whose clearance ranks it; most are shorter."""
 WIDEST = 1.5
 """Spread of the boldest rollout; the first follows the policy's mode, those between grow bolder."""
 
@@ -175,9 +177,16 @@ def _best_first(
     length = length[shortest]
     paths = jnp.swapaxes(q[:, shortest], 0, 1)
     measure = lambda point: clearance_up_to(inside, point, config.ample_clearance)  # noqa: E731
-    gap = jnp.min(jax.vmap(jax.vmap(measure))(paths), axis=1)
+    gap = jnp.min(jax.vmap(jax.vmap(measure))(jax.vmap(_ranked_points)(paths)), axis=1)
     order = jnp.argsort(length - config.clearance_worth * gap)
     return paths[order], jnp.isfinite(length)[order]
+
+
+def _ranked_points(path: Array) -> Array:
+    """`[RANKED, joint]` way points of a rollout, all of them if they are no more."""
+    moving = jnp.any(jnp.diff(path[:-1], axis=0) != 0, axis=-1)
+    last = jnp.max(jnp.where(moving, jnp.arange(1, len(path) - 1), 0))
+    return path[jnp.round(jnp.linspace(0.0, last, RANKED)).astype(int)]
 
 
 def _moved(q: np.ndarray) -> np.ndarray:

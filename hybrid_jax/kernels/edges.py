@@ -24,8 +24,8 @@ PIECE = 0.1
 """A path is proven in pieces along which no point of the robot moves further than this [m], ..."""
 SPLIT = 8
 """... each of which is split in so many at most where it comes close to something."""
-CHECKED = 64, 256
-"""Configurations of one scene that are measured in one call, few or many, ..."""
+CHECKED = 64, 128, 256
+"""Configurations of one scene that are measured in one call, from few to many, ..."""
 CHECKED_IN_SCENES = 64, 512
 """... and of several."""
 FAR_ENOUGH = 0.05
@@ -105,15 +105,15 @@ def _scene_clearance(cell: Workcell, scenes: Scene, q: Float[Array, "point n"], 
     return jax.vmap(own)(scenes, q)
 
 
-def _in_calls(measure: Callable, q: np.ndarray, sizes: tuple[int, int]) -> np.ndarray:
+def _in_calls(measure: Callable, q: np.ndarray, sizes: tuple[int, ...]) -> np.ndarray:
     """`measure(rows, q[rows])` of all points, so many in one call: few traces for all paths."""
-    out, start = [np.zeros(0, np.float32)], 0
+    out, start = [], 0
     while start < len(q):
         size = next((n for n in sizes if n >= len(q) - start), sizes[-1])
         rows = np.minimum(np.arange(start, start + size), len(q) - 1)
         out.append(np.asarray(measure(rows, q[rows].astype(np.float32)))[: len(q) - start])
         start += size
-    return np.concatenate(out)
+    return np.concatenate(out) if out else np.zeros(0, np.float32)
 
 
 def path_clearance(cell: Workcell, q: np.ndarray, enough: float = FAR_ENOUGH) -> np.ndarray:
@@ -204,6 +204,11 @@ def _reach(cell: Workcell, scene: Scene) -> Array:
     return motion_reach(cell.replace(scene=scene))
 
 
+@jax.jit
+def _reaches(cell: Workcell, scenes: Scene) -> Array:
+    return jax.vmap(lambda scene: motion_reach(cell.replace(scene=scene)))(scenes)
+
+
 def path_is_free(
     cell: Workcell, q: Float[np.ndarray, "point n"], margin: float = 0.0, tolerance: float = 1e-3
 ) -> bool:
@@ -231,7 +236,8 @@ def paths_are_free(
     if not paths:
         return np.ones(0, bool)
     scenes = jax.device_get(scenes)
-    each = (jax.tree.map(lambda a, i=i: a[i], scenes) for i in range(len(paths)))
-    reach = np.stack([np.asarray(_reach(cell, scene), float) for scene in each])
+    own = lambda rows, _: _reaches(cell, jax.tree.map(lambda a: a[rows], scenes))  # noqa: E731
+    starts = np.stack([path[0] for path in paths])
+    reach = _in_calls(own, starts, CHECKED_IN_SCENES)
     measure = functools.partial(clearances_in_scenes, cell, scenes)
     return _prove(measure, reach, paths, margin, tolerance)

@@ -97,23 +97,22 @@ def _counts(pairing: Pairing) -> Array:
     return pairing.allowed.T[:, :, None] * (1 - spared)
 
 
-def _column_counts(pairing: Pairing, index: Array) -> Array:
-    """`_counts` of one column, `[row, 1 or b]`: all of a batch whose scenes differ are many."""
-    allowed, support = (
-        jax.lax.dynamic_index_in_dim(a, index, keepdims=False)
-        for a in (pairing.allowed.T, pairing.support)
-    )
-    return allowed[:, None] * (1 - pairing.payload[:, None] * (1 - support))
-
-
 def row_bounds(rows: Rows, blocks: Blocks, pairing: Pairing, best: Array) -> Array:
-    """Smallest bound of each row over the columns, `[row, b]`, starting from `best`."""
+    """Smallest bound of each row over the columns, `[row, b]`, starting from `best`.
+
+    A pair that does not count is put `FAR` away by a sum: what the payload may touch can differ
+    within a batch, and a table of all pairs for all of it would not fit a cache.
+    """
     count = blocks.radius.shape[0]
     bound = _rough_bound if count >= _MANY else _bound
+    barred, spared = FAR * (1 - pairing.allowed.T), FAR * (1 - pairing.support)
 
     def step(i, best):
         found = bound(rows.centre, rows.extent, rows.radius, _column(blocks, i))
-        return jnp.minimum(best, jnp.where(_column_counts(pairing, i) > 0, found, FAR))
+        here, support = (
+            jax.lax.dynamic_index_in_dim(a, i, keepdims=False) for a in (barred, spared)
+        )
+        return jnp.minimum(best, found + here[:, None] + pairing.payload[:, None] * support)
 
     return jax.lax.fori_loop(0, count, step, best, unroll=_unroll(count))
 

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from hybrid_jax.types import Trajectory, Workcell
 from hybrid_jax.workcell.layout import moved_geoms
@@ -100,7 +99,9 @@ def checked_points(positions: np.ndarray, max_step: float) -> np.ndarray:
     way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(positions, axis=0)).max(axis=1))])
     count = int(np.ceil(way[-1] / max_step)) + 1
     at = np.linspace(0.0, way[-1], max(2, count))
-    return np.stack([np.interp(at, way, column) for column in positions.T], axis=1)
+    low = np.clip(np.searchsorted(way, at, side="right") - 1, 0, len(way) - 2)
+    share = (at - way[low]) / np.maximum(way[low + 1] - way[low], 1e-12)
+    return positions[low] + share[:, None] * (positions[low + 1] - positions[low])
 
 
 class Engine:
@@ -126,6 +127,7 @@ class Engine:
         self.qpos[self.fingers] = scene.opening
         names = self.layout.object_names
         self.object = names.index(scene.held) if scene.held else -1
+        self.held = np.zeros(7) if scene.held is None else np.asarray(scene.held_in_tool, float)
         self.held_body = self.layout.object_bodies[self.object] if scene.held else -1
         self.moving = self.robot | (self.model.geom_bodyid == self.held_body)
         self._skip_idle_pairs()
@@ -158,7 +160,7 @@ class Engine:
 
     def _hang(self) -> None:
         data, site = self.data, self.layout.tool_site
-        held, turn = np.asarray(self.scene.held_in_tool, float), np.empty(4)
+        held, turn = self.held, np.empty(4)
         mujoco.mju_mat2Quat(turn, data.site_xmat[site])
         pose = self.qpos[self.layout.object_qpos[self.object] :][:7]
         mujoco.mju_mulPose(pose[:3], pose[3:], data.site_xpos[site], turn, held[:3], held[3:])
@@ -197,10 +199,13 @@ class Engine:
         self._move(q)
         return self.data.site_xpos[self.layout.tool_site].copy()
 
-    def turn(self, q: np.ndarray) -> Rotation:
-        """Rotation of the tool, whatever the scene."""
+    def turned(self, q: np.ndarray, wanted: np.ndarray) -> float:
+        """Angle between the tool and a quaternion [rad], whatever the scene."""
         self._move(q)
-        return Rotation.from_matrix(self.data.site_xmat[self.layout.tool_site].reshape(3, 3))
+        turn, way = np.empty(4), np.empty(3)
+        mujoco.mju_mat2Quat(turn, self.data.site_xmat[self.layout.tool_site])
+        mujoco.mju_subQuat(way, turn, np.asarray(wanted, float))
+        return float(np.linalg.norm(way))
 
 
 def pose_row(pose: np.ndarray) -> np.ndarray:
@@ -227,7 +232,7 @@ def pose_fault(engine: Engine, q: np.ndarray, pose: np.ndarray, name: str) -> st
     away = float(np.linalg.norm(engine.position(q) - pose[:3]))
     config = engine.config
     return _missed(
-        name, away, _angle(engine.turn(q), pose),
+        name, away, engine.turned(q, pose[3:]),
         config.position_tolerance, config.rotation_tolerance,
     )  # fmt: skip
 
@@ -248,18 +253,13 @@ def passing_faults(
         share = np.clip(along / np.maximum(np.sum(way**2, axis=1), 1e-12), 0, 1)[:, None]
         away = np.linalg.norm(tools[:-1] + share * way - pose[:3], axis=1)
         at = int(np.argmin(away))
-        turn = engine.turn(path[at] + share[at] * (path[at + 1] - path[at]))
+        turned = engine.turned(path[at] + share[at] * (path[at + 1] - path[at]), pose[3:])
         fault = _missed(
-            name, float(away[at]), _angle(turn, pose),
+            name, float(away[at]), turned,
             config.passing_position, config.passing_rotation,
         )  # fmt: skip
         faults += [fault] if fault else []
     return faults
-
-
-def _angle(turn: Rotation, pose: np.ndarray) -> float:
-    """Between a rotation and that of a pose `[7]` [rad]."""
-    return float((turn.inv() * Rotation.from_quat(pose[3:], scalar_first=True)).magnitude())
 
 
 def _missed(name: str, away: float, turned: float, most: float, most_turned: float) -> str | None:

@@ -28,7 +28,7 @@ class PlannerConfig:
     skills: SkillConfig = SkillConfig()
     labels: LabelConfig = LabelConfig()
     quick: LabelConfig | None = replace(
-        LabelConfig(), candidates=2, search=replace(LabelConfig().search, seeds=12)
+        LabelConfig(), candidates=2, search=replace(LabelConfig().search, seeds=12, iterations=30)
     )
     """How tasks are labelled at first; `labels` follows where that leaves no plan. None leaves this
     look out."""

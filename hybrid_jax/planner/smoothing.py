@@ -34,14 +34,14 @@ class SmoothingConfig:
     """Clearance that a smoothed path keeps [m], ..."""
     beside: int = 12
     """... but for so many half steps beside an end that has less."""
-    shortcuts: int = 32
+    shortcuts: int = 16
     """Pairs of points tried in each of `shortcut_rounds`, ..."""
     shortcut_rounds: int = 2
     coarse: int = 8
     """... at first with so many checks along the edge between them; ..."""
     promising: int = 4
     """... so many of those that would save most ..."""
-    fine: int = 48
+    fine: int = 32
     """... are checked again with so many."""
 
 
@@ -49,14 +49,16 @@ def refine(q: np.ndarray, spacing: float) -> np.ndarray:
     """Places `[n]`, in points of a polyline, no two of them further apart than `spacing` [rad]."""
     size = np.abs(np.diff(q, axis=0)).max(axis=1)
     counts = np.maximum(1, np.ceil(size / spacing).astype(int))
-    inner = [i + np.arange(n) / n for i, n in enumerate(counts)]
-    return np.concatenate([*inner, [len(q) - 1.0]])
+    edge = np.repeat(np.arange(len(counts)), counts)
+    number = np.arange(len(edge)) - np.repeat(np.cumsum(counts) - counts, counts)
+    return np.append(edge + number / counts[edge], len(q) - 1.0)
 
 
 def at_places(q: np.ndarray, places: np.ndarray) -> np.ndarray:
     """Points of a polyline `[point, column]` at places `[n]`."""
-    index = np.arange(len(q))
-    return np.stack([np.interp(places, index, column) for column in q.T], axis=1)
+    q, low = np.asarray(q, float), np.clip(places.astype(int), 0, max(0, len(q) - 2))
+    share = (places - low)[:, None]
+    return q[low] + share * (q[np.minimum(low + 1, len(q) - 1)] - q[low])
 
 
 def densify(q: np.ndarray, spacing: float) -> np.ndarray:

@@ -66,25 +66,24 @@ def pad_costs(costs: SegmentCosts) -> SegmentCosts:
 def _monotone_costs(terms: Float[Array, "i l b skill"], limit: float) -> Float[Array, "a b skill"]:
     """Cheapest monotone matching of task features l = a..b-1 to demo features, the first fixed.
 
-    Demo features come one after the other; `least[a, l, b, skill]` is the cost of the cheapest
-    matching of a..l to those that have passed.
+    Demo features come one after the other; `least` holds, for every a <= l < b, the cost of the
+    cheapest matching of a..l to those that have passed.
     """
-    terms = jnp.where(terms <= limit, terms, jnp.inf)
     size = terms.shape[1]
-    begins = jnp.eye(size, dtype=bool)[:, :, None, None]
+    rows = [(a, k, b) for a in range(size) for b in range(a + 1, size) for k in range(a, b)]
+    first, task, last = np.array(rows).T
+    begins, ends = (first == task)[:, None], task == last - 1
+    terms = jnp.where(terms <= limit, terms, jnp.inf)[:, task, last]
 
     def advance(least, feature):
         term, opening = feature
-        before = jnp.concatenate([jnp.full_like(least[:, :1], jnp.inf), least[:, :-1]], axis=1)
+        before = jnp.concatenate([least[-1:], least[:-1]])  # rows of one a and b stand in order
         return jnp.minimum(least, term + jnp.where(begins, opening, before)), None
 
     openings = jnp.where(jnp.arange(terms.shape[0]) == 0, 0.0, jnp.inf)
-    none = jnp.full((size, *terms.shape[1:]), jnp.inf)
-    least, _ = jax.lax.scan(advance, none, (terms, openings))
-    ends = jnp.arange(1, size)
-    return jnp.full((size, size, terms.shape[3]), jnp.inf).at[:, ends].set(
-        least[:, ends - 1, ends]
-    )
+    least, _ = jax.lax.scan(advance, jnp.full(terms.shape[1:], jnp.inf), (terms, openings))
+    costs = jnp.full((size, size, terms.shape[2]), jnp.inf)
+    return costs.at[first[ends], last[ends]].set(least[ends])
 
 
 def _task_features(key_poses: Array) -> Float[Array, "l b 8"]:
