@@ -160,6 +160,19 @@ def test_beta_is_symmetric_invariant_and_in_metres():
     assert beta(a, shifted) == pytest.approx(0.2, abs=1e-5)
 
 
+def test_beta_is_the_size_of_the_screw():
+    """Small turns and large ones, against the logarithm in double precision."""
+    rng = np.random.default_rng(4)
+    with jax.enable_x64(True):
+        for turn in (0.0, 1e-6, 1e-3, 0.3, 1.0, 2.0):
+            a, b = (double(random_pose(rng, 0.3, turn)) for _ in range(2))
+            screw = dq.log(dq.mul(dq.conj(a), b))
+            wanted = np.sqrt(np.sum(screw[:3] ** 2) + 0.3**2 * np.sum(screw[3:] ** 2))
+            assert beta(a, b) == pytest.approx(wanted, rel=1e-6)
+            low = (jnp.asarray(pose, jnp.float32) for pose in (a, b))
+            assert beta(*low) == pytest.approx(wanted, rel=1e-4)
+
+
 def brute_force(cost, count):
     """Cheapest plan over all segmentations and skills."""
     best = np.inf

@@ -8,7 +8,7 @@ from jax import Array
 
 from hybrid_jax.errors import SegmentError
 from hybrid_jax.kernels.collision import clearance
-from hybrid_jax.kernels.edges import clearances_in_scenes
+from hybrid_jax.kernels.edges import FAR_ENOUGH, clearances_in_scenes
 from hybrid_jax.types import Scene, Workcell, pytree
 
 PAIRS = 4096
@@ -74,7 +74,7 @@ def refuse_infeasible(cell: Workcell, segments: Segments, margin: float) -> None
     every = np.arange(len(segments.start))
     for end in ("start", "goal"):
         q = np.asarray(getattr(segments, end))
-        gaps = clearances_in_scenes(cell, segments.scene, every, q)
+        gaps = clearances_in_scenes(cell, segments.scene, every, q, FAR_ENOUGH + margin)
         # a finite difference within float32's rounding is no violation
         outside = ~((q >= low - 1e-5) & (q <= high + 1e-5))
         for i, joint in np.argwhere(outside)[:1]:
