@@ -22,6 +22,18 @@ from hybrid_jax.workcell.load import load_workcell  # noqa: E402
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
 
+@pytest.fixture(autouse=True, scope="module")
+def few_programs():
+    """Drop a module's programs: all of them together need more memory maps than a process may have.
+
+    XLA crashes where Linux refuses one more (`vm.max_map_count`).
+    """
+    yield
+    import jax
+
+    jax.clear_caches()
+
+
 @pytest.fixture(scope="session")
 def cell():
     """The handling cell."""
