@@ -44,6 +44,16 @@ def quat_mul(a, b):
     )
 
 
+def quat_conj(q):
+    """Conjugate of a quaternion: the inverse of a unit one."""
+    return (q[0], *scale(q[1:], -1.0))
+
+
+def position(pose):
+    """Position of a unit dual quaternion, eight components."""
+    return scale(quat_mul(pose[4:], quat_conj(pose[:4]))[1:], 2.0)
+
+
 def quat_rotate(q, v):
     """Vector `v` turned by the unit quaternion `q`."""
     twist = scale(cross(q[1:], v), 2.0)

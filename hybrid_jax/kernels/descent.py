@@ -34,9 +34,8 @@ def _task_error(chain: KinematicChain, pose, q: Array):
     (place, quat), (places, quats) = scan_joints(chain, q)
     tool = co.add(place, co.quat_rotate(quat, chain.tool[:3]))
     turned = co.quat_mul(quat, chain.tool[3:])
-    back = (turned[0], *co.scale(turned[1:], -1.0))
     target, wanted = pose
-    rotation = _rotation_vector(co.quat_mul(wanted, back))
+    rotation = _rotation_vector(co.quat_mul(wanted, co.quat_conj(turned)))
     error = jnp.stack([*co.sub(target, tool), *rotation])
     axes = co.quat_rotate(quats, [chain.axis[:, i] for i in range(3)])
     arms = co.cross(axes, co.sub([t[None] for t in tool], places))
@@ -60,9 +59,7 @@ def _step(chain: KinematicChain, pose, q: Array, max_step: float, damping: float
 def _descend(chain, pose, seed, iterations, *, max_step: float, damping: float):
     """One chunk; leaves `[1 or b, ...]`."""
     chain, pose, q = jax.tree.map(lambda a: jnp.moveaxis(a, 0, -1), (chain, pose, seed))
-    quat, dual = pose[:4], pose[4:]
-    turned = co.quat_mul(dual, (quat[0], *co.scale(quat[1:], -1.0)))
-    target = (co.scale(turned[1:], 2.0), tuple(quat))
+    target = (co.position(pose), tuple(pose[:4]))
     q = jnp.broadcast_to(q, (q.shape[0], batch_size((seed, pose.T))))
     q = jax.lax.fori_loop(
         0, jnp.max(iterations), lambda _, q: _step(chain, target, q, max_step, damping), q

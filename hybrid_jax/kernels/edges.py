@@ -143,14 +143,19 @@ def clearances_in_scenes(
     return _in_calls(measure, q, CHECKED_IN_SCENES)
 
 
+def split_counts(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of edges in `counts` pieces each, for every piece its edge and its number on it."""
+    edge = np.repeat(np.arange(len(counts)), counts)
+    return edge, np.arange(len(edge)) - np.repeat(np.cumsum(counts) - counts, counts)
+
+
 def _split(q: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Edges `[edge, 2, joint]` in `counts` pieces each.
 
     Returns:
         The pieces, the edge that each comes from, and which of them begin inside of it.
     """
-    edge = np.repeat(np.arange(len(q)), counts)
-    number = np.arange(len(edge)) - np.repeat(np.cumsum(counts) - counts, counts)
+    edge, number = split_counts(counts)
     share = np.stack([number, number + 1], axis=1)[..., None] / counts[edge][:, None, None]
     return q[edge, :1] + share * (q[edge, 1:] - q[edge, :1]), edge, number > 0
 

@@ -106,9 +106,9 @@ def motion_faults(
         free: did the kernels prove it? They are asked where this is not given.
     """
     faults = checking.limit_faults(cell, trajectory, engine.config)
-    if not free:
-        points = checking.checked_points(trajectory.positions, engine.config.max_step)
-        free = free is None and path_is_free(cell, points, tolerance=PROVEN)
+    points = checking.checked_points(trajectory.positions, engine.config.max_step)
+    if free is None:
+        free = path_is_free(cell, points, tolerance=PROVEN)
     if not free:
         gap = path_clearance(cell, points).min()
         where = "between the points that are looked at it is not proven free; there, "

@@ -11,7 +11,7 @@ from jax import Array
 from scipy.ndimage import gaussian_filter1d
 
 from hybrid_jax.kernels.collision import clearance_up_to, points_between
-from hybrid_jax.kernels.edges import path_clearance
+from hybrid_jax.kernels.edges import path_clearance, split_counts
 from hybrid_jax.types import Scene, Workcell
 
 LEAST_GAIN = 1e-3
@@ -49,8 +49,7 @@ def refine(q: np.ndarray, spacing: float) -> np.ndarray:
     """Places `[n]`, in points of a polyline, no two of them further apart than `spacing` [rad]."""
     size = np.abs(np.diff(q, axis=0)).max(axis=1)
     counts = np.maximum(1, np.ceil(size / spacing).astype(int))
-    edge = np.repeat(np.arange(len(counts)), counts)
-    number = np.arange(len(edge)) - np.repeat(np.cumsum(counts) - counts, counts)
+    edge, number = split_counts(counts)
     return np.append(edge + number / counts[edge], len(q) - 1.0)
 
 

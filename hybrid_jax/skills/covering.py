@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.batching import padded_chunks
-from hybrid_jax.skills.distance import BETAS
+from hybrid_jax.skills.distance import BETAS, features
 from hybrid_jax.skills.library import SkillConfig, SkillLibrary
 from hybrid_jax.skills.mapping import MAPS, resample
 
@@ -25,7 +25,7 @@ def match_indices(
 ) -> list[int]:
     """Points of a demonstration that stand for key poses a..b: the matching behind the cost."""
     demo = library.poses[skill]
-    seen = dq.mul(dq.conj(demo[:-1]), jnp.broadcast_to(demo[-1], demo[:-1].shape))
+    seen = features(demo)
     starts = jnp.asarray(key_poses[a:b])
     wanted = dq.mul(dq.conj(starts), jnp.broadcast_to(key_poses[b], starts.shape))
     terms = np.asarray(BETAS[config.distance](wanted.T[:, :, None], seen.T[:, None]))

@@ -24,8 +24,8 @@ def beta(a: Float[Array, "8 *b"], b: Float[Array, "8 *b"], length: float = 0.3) 
         a, b: features by components, unit dual quaternions; their shapes are broadcast.
         length: metres that count as one radian.
     """
-    turn = co.quat_mul(b[:4], _conjugate(a[:4]))
-    way = co.sub(_position(b), _position(a))
+    turn = co.quat_mul(b[:4], co.quat_conj(a[:4]))
+    way = co.sub(co.position(b), co.position(a))
     sine_squared = co.dot(turn[1:], turn[1:])
     half = jnp.arctan2(jnp.sqrt(sine_squared), jnp.abs(turn[0]))
     small = sine_squared < 1e-10
@@ -34,14 +34,6 @@ def beta(a: Float[Array, "8 *b"], b: Float[Array, "8 *b"], length: float = 0.3) 
     along = jnp.where(small, 0.0, jnp.square(co.dot(turn[1:], way)) / safe)
     square = stretch * co.dot(way, way) + (1 - stretch) * along + (2 * length * half) ** 2
     return jnp.sqrt(jnp.maximum(square, 1e-20))
-
-
-def _conjugate(quat):
-    return (quat[0], *co.scale(quat[1:], -1.0))
-
-
-def _position(pose):
-    return co.scale(co.quat_mul(pose[4:], _conjugate(pose[:4]))[1:], 2.0)
 
 
 def beta_euclidean(a: Float[Array, "8 *b"], b: Float[Array, "8 *b"], length: float = 0.3) -> Array:
