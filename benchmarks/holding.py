@@ -30,7 +30,9 @@ from hybrid_jax.simulation.engines import HostEngine, get_state
 from hybrid_jax.simulation.plant import Plant, Steps
 from hybrid_jax.simulation.runs import execute
 from hybrid_jax.simulation.sensing import SensedCell, sense_cell
-from hybrid_jax.skills.task import Task, handling_task, sample_scene
+from hybrid_jax.skills.handling import handling_task
+from hybrid_jax.skills.scenes import sample_scene
+from hybrid_jax.skills.task import Task
 from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.load import load_workcell
 

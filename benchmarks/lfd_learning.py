@@ -24,7 +24,8 @@ from hybrid_jax.skills.costs import MAX_KEY_POSES, SegmentCosts, pad_task, segme
 from hybrid_jax.skills.library import SkillConfig, SkillLibrary
 from hybrid_jax.skills.scripts import HOVER, on_part, shifted
 from hybrid_jax.skills.segmentation import optimal_costs
-from hybrid_jax.skills.task import home_pose, random_task
+from hybrid_jax.skills.task import home_pose
+from hybrid_jax.skills.tasks import random_task
 from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.load import load_workcell
 

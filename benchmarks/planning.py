@@ -25,7 +25,8 @@ from hybrid_jax.planner.lfd import skill_path
 from hybrid_jax.planner.pipeline import plan_batch
 from hybrid_jax.planner.records import Planner, PlanResult
 from hybrid_jax.planner.scenes import phase_scene, segment_kinds
-from hybrid_jax.skills.task import Task, random_task
+from hybrid_jax.skills.task import Task
+from hybrid_jax.skills.tasks import random_task
 from hybrid_jax.types import Source, Status, Workcell
 from hybrid_jax.workcell.load import load_workcell
 

@@ -23,7 +23,8 @@ from hybrid_jax.planner.records import Planner, PlanResult
 from hybrid_jax.planner.switchdata import combined_phases
 from hybrid_jax.presets import DEFAULT, SMOKE
 from hybrid_jax.progress import Progress
-from hybrid_jax.skills.task import Task, random_task
+from hybrid_jax.skills.task import Task
+from hybrid_jax.skills.tasks import random_task
 from hybrid_jax.types import Workcell
 
 TRAINING, TRAINING_TASKS = 10_000, 100

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The handling study: `python -m hybrid_jax.evaluate --run DIR --out FILE`."""
+"""The study of a run's cell: `python -m hybrid_jax.evaluate --run DIR --out FILE`."""
 
 from pathlib import Path
 
@@ -7,7 +7,6 @@ from hybrid_jax.compilecache import enable_compile_cache
 from hybrid_jax.errors import InputError
 from hybrid_jax.train import run_cli
 
-METHODS = ("hybrid", "lfd", "drl", "ompl", "disturbed", "paper")
 FIRST_SEED = 10_000
 """Of the study's scenes; nothing was tuned on those from here on."""
 
@@ -16,19 +15,21 @@ def main(
     run: Path,
     out: Path | None = None,
     runs: int = 100,
-    methods: tuple[str, ...] = METHODS,
+    methods: tuple[str, ...] = (),
     seed: int = FIRST_SEED,
     paper: Path | None = None,
     video: Path | None = None,
 ) -> int:
-    """Let methods sort all objects of the same random scenes, executed in physics.
+    """Let methods do the tasks of the run's cell in the same random scenes, carried out in physics.
 
     Args:
         run: folder of a trained run.
         out: JSON file to write: every run with its seed, and the metrics. A chart and the
             recordings of failed runs are put beside it.
-        runs: scenes; their seeds are seed, seed + 1, ...
-        methods: hybrid, lfd, drl, ompl, disturbed, paper.
+        runs: random scenes (handling), or scenes for each part (inspection); their seeds begin
+            with --seed.
+        methods: hybrid, lfd, drl, ompl, disturbed, paper; if none is named, those of the cell's
+            study.
         seed: of the first scene.
         paper: folder of a run of preset paper, for method paper; trained into the run's folder
             if not given.
@@ -39,57 +40,59 @@ def main(
     if runs < 1:
         raise InputError(f"--runs must be at least 1, got {runs}")
     enable_compile_cache()
-    from hybrid_jax import study  # noqa: PLC0415
     from hybrid_jax.runfolder import open_run  # noqa: PLC0415
+    from hybrid_jax.studies.choosing import study_of  # noqa: PLC0415
+    from hybrid_jax.studies.contestants import contestant  # noqa: PLC0415
 
     opened, papers = open_run(run), open_run(paper) if paper else None
-    found = [study.contestant(name, opened, papers) for name in methods]
+    study = study_of(opened.cell)
+    found = [contestant(name, opened, papers) for name in methods or study.METHODS]
     contestants = [one for one in found if one]
     if video:
-        return film_runs(opened, contestants[:2], seed, video)
-    return run_study(opened, contestants, range(seed, seed + runs), out)
+        return film_runs(study, opened, contestants[:2], seed, video)
+    return run_study(study, opened, contestants, range(seed, seed + runs), out)
 
 
-def run_study(opened, contestants, seeds: range, out: Path) -> int:
+def run_study(study, opened, contestants, seeds: range, out: Path) -> int:
     """All methods, one after the other; what is done is on disk after each of them."""
-    from hybrid_jax import export, study, studypictures  # noqa: PLC0415
+    from hybrid_jax import export  # noqa: PLC0415
+    from hybrid_jax.studies.measures import as_table  # noqa: PLC0415
 
     rows, seconds, metrics = [], {}, []
     for one in contestants:
         reports, seconds[one.name] = study.run_contestant(opened.cell, one, seeds)
         rows += [study.row_of(one.name, report) for report in reports]
-        keep_failures(out, one.name, reports)
+        failed = [report for report in reports if not study.succeeded(report)]
+        keep_motions(out.with_suffix(""), one.name, map(study.frames_of, failed))
         metrics = study.summarize(rows, seconds)
         export.write_json(out, {"metrics": metrics, "runs": rows})
-    studypictures.draw_study(out.with_suffix(".png"), rows)
-    print(study.as_table(metrics))
+    study.draw(out.with_suffix(".png"), rows, opened)
+    print(as_table(metrics))
     print(f"written to {out} and {out.with_suffix('.png')}")
     return 0
 
 
-def keep_failures(out: Path, method: str, reports) -> None:
-    """Record the motions of failed runs, `[frame, nq]`, beside the study's file."""
+def keep_motions(folder: Path, method: str, motions) -> None:
+    """Record named motions, `[frame, nq]`; those that are none are left out."""
     import numpy as np  # noqa: PLC0415
 
-    for report in reports:
-        if not report.success and len(report.frames) > 1:
-            folder = out.with_suffix("")
+    for name, frames in motions:
+        if len(frames) > 1:
             folder.mkdir(parents=True, exist_ok=True)
-            np.savez_compressed(folder / f"{method}-{report.seed}.npz", frames=report.frames)
+            np.savez_compressed(folder / f"{method}-{name}.npz", frames=frames)
 
 
-def film_runs(opened, contestants, seed: int, video: Path) -> int:
+def film_runs(study, opened, contestants, seed: int, video: Path) -> int:
     """Two methods on one scene, side by side."""
-    from hybrid_jax import film, study  # noqa: PLC0415
+    from hybrid_jax import film  # noqa: PLC0415
 
     films = {}
     for one in contestants:
         report = study.run_contestant(opened.cell, one, [seed])[0][0]
-        placed = sum(r.success for r in report.reports)
-        title = f"{one.name}: {placed} of {len(report.reports)} placed"
-        films[title] = film.render(opened.cell.model, report.frames)
-        for r in report.reports:
-            print(f"{one.name:9s} {r.name}: {r.cause or 'placed'} {r.detail}".rstrip())
+        name = f"{one.name}: {study.title(report)}"
+        films[name] = film.render(opened.cell.model, study.frames_of(report)[1])
+        for line in study.lines(report):
+            print(f"{one.name:9s} {line}")
     if not all(films.values()):
         return 1
     video.parent.mkdir(parents=True, exist_ok=True)

@@ -29,7 +29,8 @@ def _runs(sources: np.ndarray) -> list[dict]:
 def to_joint_trajectory(cell: Workcell, task: Task, plan: PlanResult) -> dict:
     """A plan as a dictionary: `joint_names`, `points`, `status`, `parts`, `gripper`.
 
-    The points of all phases stand in one list; where the gripper acts, time passes at rest.
+    The points of all phases stand in one list; where the gripper acts, time passes at rest. Where
+    nothing is carried the list `gripper` is empty.
     """
     out = {
         "joint_names": list(cell.joint_names),
@@ -40,19 +41,21 @@ def to_joint_trajectory(cell: Workcell, task: Task, plan: PlanResult) -> dict:
         "parts": [],
         "gripper": [],
     }
-    begin = 0.0
+    begin, grips = 0.0, any(task.carrying)
     sources = []
     for phase, trajectory in enumerate(plan.phases):
         closed = bool(task.carrying[task.phases[phase][0]])
-        out["gripper"].append(
-            {"time_from_start": round(begin, 4), "command": "close" if closed else "open"}
-        )
-        begin += GRIPPER_PAUSE if phase else 0.0
+        if grips:
+            command = "close" if closed else "open"
+            out["gripper"].append({"time_from_start": round(begin, 4), "command": command})
+            begin += GRIPPER_PAUSE if phase else 0.0
+        # without a pause the last point of a phase is the first of the next
+        new = slice(int(phase > 0 and not grips), None)
         for t, q, v, a in zip(
-            trajectory.times,
-            trajectory.positions,
-            trajectory.velocities,
-            trajectory.accelerations,
+            trajectory.times[new],
+            trajectory.positions[new],
+            trajectory.velocities[new],
+            trajectory.accelerations[new],
             strict=True,
         ):
             out["points"].append(
@@ -63,11 +66,12 @@ def to_joint_trajectory(cell: Workcell, task: Task, plan: PlanResult) -> dict:
                     "time_from_start": round(begin + float(t), 6),
                 }
             )
-        sources.append(trajectory.sources)
+        sources.append(trajectory.sources[new])
         begin += float(trajectory.times[-1])
     if sources:
         out["parts"] = _runs(np.concatenate(sources))
-        out["gripper"].append({"time_from_start": round(begin, 4), "command": "open"})
+        if grips:
+            out["gripper"].append({"time_from_start": round(begin, 4), "command": "open"})
     return out
 
 

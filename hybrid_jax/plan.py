@@ -23,7 +23,7 @@ def main(run: Path, task: Path, out: Path, seed: int = 0) -> int:
     from hybrid_jax.planner.loading import load_planner  # noqa: PLC0415
     from hybrid_jax.planner.pipeline import plan_motion  # noqa: PLC0415
     from hybrid_jax.runfolder import open_run  # noqa: PLC0415
-    from hybrid_jax.skills.task import read_task  # noqa: PLC0415
+    from hybrid_jax.skills.tasks import read_task  # noqa: PLC0415
     from hybrid_jax.types import Status  # noqa: PLC0415
 
     opened = open_run(run)

@@ -4,7 +4,7 @@
 import functools
 import json
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -12,21 +12,20 @@ import numpy as np
 
 from hybrid_jax import artifacts, film, pictures
 from hybrid_jax.agents import controllers, dqn, joint, switching
-from hybrid_jax.agents.segments import Segments, refuse_infeasible
+from hybrid_jax.agents.segments import Segments, refuse_infeasible, with_room
 from hybrid_jax.checkpoints import train_agent
+from hybrid_jax.demonstrating import show
 from hybrid_jax.feasibility import building
 from hybrid_jax.feasibility.judging import Reason
 from hybrid_jax.planner import harvest
 from hybrid_jax.planner.lfd import optimal_chooser
 from hybrid_jax.planner.loading import load_planner, read_library, read_scale
-from hybrid_jax.planner.pipeline import plan_batch
 from hybrid_jax.planner.switchdata import combined_phases
 from hybrid_jax.progress import Progress
 from hybrid_jax.runfolder import Run
-from hybrid_jax.simulation.runs import planning, sort_scene
 from hybrid_jax.skills.costs import SegmentCosts, pad_task, segment_costs
 from hybrid_jax.skills.segmentation import optimal_costs
-from hybrid_jax.skills.task import random_task
+from hybrid_jax.skills.tasks import random_task
 from hybrid_jax.types import Source
 
 TRAINING_TASKS = 1_000_000
@@ -120,8 +119,10 @@ def training_segments(run: Run, quiet: bool) -> Segments:
     _, state = run.load(path.name, "segments")
     scene = artifacts.restore(run.cell.scene, state["scene"])
     segments = Segments(scene, state["start"], state["goal"])
-    segments = jax.tree.map(jnp.asarray, segments)
-    refuse_infeasible(run.cell, segments, run.preset.joint.reach.margin)
+    margin = run.preset.joint.reach.margin
+    # beside a key pose a skill may come closer than the agent does
+    segments = with_room(run.cell, jax.tree.map(jnp.asarray, segments), margin)
+    refuse_infeasible(run.cell, segments, margin)
     return segments
 
 
@@ -204,22 +205,20 @@ def run_switch(run: Run, quiet: bool) -> dict:
 
 
 def run_demo(run: Run, quiet: bool) -> dict:
-    """Plan and execute the sorting of one scene, object after object, in physics."""
-    planner = load_planner(run)
-    names = list(run.cell.source.layout.object_names)[-run.preset.demo_objects :]
-    sorted_ = sort_scene(run.cell, planning(planner, plan_batch, run.seed), run.seed, names)
-    rows = [{"step": i} | asdict(report) for i, report in enumerate(sorted_.reports)]
+    """Plan a few of the cell's tasks and carry them out in physics."""
+    shown = show(load_planner(run), run.seed, run.preset.demo_objects)
+    rows = [{"step": i} | row for i, row in enumerate(shown.rows)]
     for row in rows:
         run.log("demo", row)
         if not quiet:
-            print(f"demo    {row['name']}: {row['cause'] or 'placed'} {row['detail']}".rstrip())
-    film.save(run.path("demo"), film.render(run.cell.model, sorted_.frames))
+            print(f"demo    {row['name']}: {row['cause'] or 'done'} {row['detail']}".rstrip())
+    film.save(run.path("demo"), film.render(run.cell.model, shown.frames))
     both = [r["success"] and 0 < r["shares"].get(Source.DRL.name, 0) < 1 for r in rows]
     summary = {
         "objects": len(rows),
-        "placed": sum(row["success"] for row in rows),
-        "placed_by_both_agents": sum(both),
-        "touched": len(sorted_.touches),
+        "done": sum(row["success"] for row in rows),
+        "done_by_both_agents": sum(both),
+        "touched": shown.touched,
     }
     run.path("demo.json").write_text(json.dumps({"summary": summary, "objects": rows}, indent=1))
     return summary

@@ -15,7 +15,7 @@ from hybrid_jax.errors import HybridJaxError, UnknownNameError
 def main(
     stages: Annotated[tuple[str, ...], tyro.conf.Positional] = (),
     /,
-    workcell: str = "gen3_handling",
+    workcell: str = "",
     preset: str = "default",
     seed: int = 0,
     out: Path | None = None,
@@ -27,7 +27,7 @@ def main(
 
     Args:
         stages: map lfd drl switch demo; all of them if none is named.
-        workcell: name of a shipped cell, or an MJCF file.
+        workcell: name of a shipped cell, or an MJCF file; the handling cell if not given.
         preset: default, paper or smoke.
         seed: of everything random.
         out: folder of the run; runs/CELL-NNN if not given.
@@ -40,8 +40,10 @@ def main(
     from hybrid_jax import runfolder  # noqa: PLC0415
     from hybrid_jax.devices import use_all_cores  # noqa: PLC0415
     from hybrid_jax.stages import STAGE_FUNCTIONS  # noqa: PLC0415
+    from hybrid_jax.workcell.assets import default_workcell  # noqa: PLC0415
 
     use_all_cores()
+    workcell = workcell or default_workcell()
     for stage in stages:
         if stage not in runfolder.STAGES:
             raise UnknownNameError("stage", stage, runfolder.STAGES)

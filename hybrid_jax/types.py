@@ -173,7 +173,7 @@ class WorkcellSource:
         self.layout = layout
         """`workcell.layout.Layout`: where joints, geoms and objects stand in the model."""
         self.task = task
-        """`workcell.description.Handling` or None: objects, grasps and trays."""
+        """`workcell.description.TaskData` or None: what is done in the cell."""
         self.owners: tuple[int, ...] = owners
         """Object of each primitive of `Workcell.objects`."""
         self.fixture_bodies: tuple[str, ...] = fixture_bodies

@@ -60,7 +60,7 @@ def planned(planner):
     import jax
 
     from hybrid_jax.planner.pipeline import plan_motion
-    from hybrid_jax.skills.task import random_task
+    from hybrid_jax.skills.tasks import random_task
 
     task = random_task(planner.cell, 4)
     return task, plan_motion(planner, task, key=jax.random.key(0))

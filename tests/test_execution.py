@@ -20,7 +20,8 @@ from hybrid_jax.simulation.plant import BlownUp, Plant
 from hybrid_jax.simulation.runs import execute
 from hybrid_jax.simulation.sensing import ARM, FINGERS, OBJECTS, sense_cell
 from hybrid_jax.simulation.sorting import Sorting
-from hybrid_jax.skills.task import handling_task, sample_scene
+from hybrid_jax.skills.handling import handling_task
+from hybrid_jax.skills.scenes import sample_scene
 from hybrid_jax.types import Status
 
 TICK = 25

@@ -13,7 +13,7 @@ from hybrid_jax.planner.finishing import motion_faults
 from hybrid_jax.planner.joints import JointMotionConfig, plan_joint_motion
 from hybrid_jax.planner.scenes import home_scene, phase_scene
 from hybrid_jax.rrt import RrtConfig
-from hybrid_jax.skills.task import random_task
+from hybrid_jax.skills.tasks import random_task
 from hybrid_jax.types import Status, Trajectory
 from hybrid_jax.workcell.compile import compile_workcell
 

@@ -17,7 +17,7 @@ from hybrid_jax.feasibility.judging import Reason
 from hybrid_jax.simulation import physics
 from hybrid_jax.simulation.reach import ReachConfig, ReachWorld
 from hybrid_jax.simulation.servos import Servos
-from hybrid_jax.skills.task import sample_scene
+from hybrid_jax.skills.scenes import sample_scene
 from hybrid_jax.workcell.layout import home_qpos
 from hybrid_jax.workcell.load import load_workcell
 from hybrid_jax.workcell.mjxcollision import BACKENDS

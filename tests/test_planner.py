@@ -36,8 +36,10 @@ from hybrid_jax.planner.scenes import (
     segment_kinds,
     task_scenes,
 )
+from hybrid_jax.skills.handling import handling_task
 from hybrid_jax.skills.library import without
-from hybrid_jax.skills.task import handling_task, random_task, read_task, sample_scene
+from hybrid_jax.skills.scenes import sample_scene
+from hybrid_jax.skills.tasks import random_task, read_task
 from hybrid_jax.types import Source, Status
 
 

@@ -18,7 +18,7 @@ from hybrid_jax.skills.covering import cut_segment, map_pieces
 from hybrid_jax.skills.distance import beta, features
 from hybrid_jax.skills.library import SkillConfig, without
 from hybrid_jax.skills.segmentation import best_plans, missing_skills, optimal_plan
-from hybrid_jax.skills.task import random_task
+from hybrid_jax.skills.tasks import random_task
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from hybrid_jax import evaluate, film, study, studypictures
+from hybrid_jax import evaluate, film
 from hybrid_jax.errors import InputError, RunFolderError, UnknownNameError
 from hybrid_jax.runfolder import Run
 from hybrid_jax.simulation.disturbances import (
@@ -22,7 +22,10 @@ from hybrid_jax.simulation.plant import Plant
 from hybrid_jax.simulation.runs import SortingReport, sort_scenes
 from hybrid_jax.simulation.sensing import sense_cell
 from hybrid_jax.simulation.sorting import ObjectReport
-from hybrid_jax.skills.task import sample_scene, yaw_of
+from hybrid_jax.skills.scenes import sample_scene
+from hybrid_jax.skills.task import yaw_of
+from hybrid_jax.studies import choosing, contestants, handlingpictures
+from hybrid_jax.studies import handling as study
 from hybrid_jax.types import Source, Status
 
 
@@ -96,7 +99,7 @@ def test_a_contact_spoils_a_run_in_which_everything_was_placed():
 
 def test_the_chart_is_drawn(tmp_path):
     rows = [study.row_of(m, run_of(0, [c, ""])) for m, c in (("hybrid", ""), ("lfd", "no plan"))]
-    studypictures.draw_study(tmp_path / "study.png", rows)
+    handlingpictures.draw_study(tmp_path / "study.png", rows)
     assert (tmp_path / "study.png").stat().st_size > 10_000
 
 
@@ -132,7 +135,8 @@ def test_ompl_plans_tasks_as_our_planner_does(cell, planner, planned):
 
 
 def test_every_method_of_the_command_exists():
-    assert set(evaluate.METHODS) == set(study.METHODS)
+    for one in choosing.STUDIES.values():
+        assert set(one.METHODS) <= set(contestants.METHODS)
 
 
 def test_what_the_study_cannot_do_is_said(cell, tmp_path):
@@ -144,7 +148,7 @@ def test_what_the_study_cannot_do_is_said(cell, tmp_path):
         evaluate.main(tmp_path, tmp_path / "out.json")
     run = Run(tmp_path, cell, "smoke", 0)
     with pytest.raises(UnknownNameError, match="hybrid"):
-        study.contestant("hybird", run, None)
+        contestants.contestant("hybird", run, None)
 
 
 def test_a_run_of_another_cell_is_refused(cell, tmp_path):
@@ -158,5 +162,5 @@ def test_a_run_of_another_cell_is_refused(cell, tmp_path):
     (folder / "other.toml").write_text(cell.source.path.with_suffix(".toml").read_text())
     other = load_workcell(folder / "other.xml")
     with pytest.raises(RunFolderError, match="was trained for cell 'other'"):
-        study.contestant("paper", Run(tmp_path / "a", cell, "smoke", 0),
+        contestants.contestant("paper", Run(tmp_path / "a", cell, "smoke", 0),
                          Run(tmp_path / "b", other, "paper", 0))  # fmt: skip

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from hybrid_jax.errors import UnknownNameError, WorkcellError
-from hybrid_jax.skills.task import handling_task, sample_scene
+from hybrid_jax.skills.handling import handling_task
+from hybrid_jax.skills.scenes import sample_scene
 from hybrid_jax.workcell.load import load_workcell
 
 ARM = """<mujoco><worldbody>{world}<body name="arm" pos="0 0 .2"><joint name="a" range="-3 3"/>

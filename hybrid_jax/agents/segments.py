@@ -64,6 +64,17 @@ def free_pairs(cell: Workcell, scenes: Segments, count: int = PAIRS) -> Segments
     return take(join(found), slice(count))
 
 
+def with_room(cell: Workcell, segments: Segments, margin: float) -> Segments:
+    """The segments whose ends have a clearance of `margin` [m]: the others no agent reaches that
+    keeps it."""
+    every = np.arange(len(segments.start))
+    gaps = [
+        clearances_in_scenes(cell, segments.scene, every, np.asarray(q), FAR_ENOUGH + margin)
+        for q in (segments.start, segments.goal)
+    ]
+    return take(segments, np.flatnonzero(np.min(gaps, axis=0) >= margin))
+
+
 def refuse_infeasible(cell: Workcell, segments: Segments, margin: float) -> None:
     """Raise if an end of a segment violates the joint limits or has less clearance than `margin`.
 

@@ -159,28 +159,29 @@ class SwitchWorld:
 
 def optimal_switching(data: Combined, config: SwitchConfig) -> tuple[np.ndarray, float]:
     """Best choices `[STEPS]` and their total reward, by dynamic programming (Viterbi)."""
-    points, first, moves = (np.asarray(a, float) for a in _rewards(data, config))
-    moves = moves - config.switch * (1 - np.eye(2))[:, :, None]
-    points[1] = np.where(np.asarray(data.available) > 0, points[1], -np.inf)
-    (skill, agent), steps = points.tolist(), moves.transpose(2, 0, 1).tolist()
-    values, back = [skill[0], agent[0] + float(first) - config.switch], []
-    for t, ((stay, enter), (leave, keep)) in enumerate(steps, 1):
-        totals = (values[0] + stay, values[1] + leave), (values[0] + enter, values[1] + keep)
-        back.append([int(b > a) for a, b in totals])
-        values = [max(totals[0]) + skill[t], max(totals[1]) + agent[t]]
-    choice = np.zeros(STEPS, int)
-    choice[-1] = int(values[1] > values[0])
-    for t in range(STEPS - 1, 0, -1):
-        choice[t - 1] = back[t - 1][choice[t]]
-    return choice, max(values)
+    choice, value = _viterbi(data, config)
+    return np.asarray(choice), float(value)
 
 
 @functools.partial(jax.jit, static_argnames="config")
-def _rewards(data: Combined, config: SwitchConfig) -> tuple[Array, Array, Array]:
-    """Of points `[2, STEPS]`, of entering by the agent, and of moves `[from, to, STEPS - 1]`."""
+def _viterbi(data: Combined, config: SwitchConfig) -> tuple[Array, Array]:
     q = data.q
+    points = point_reward(data, config)
+    points = points.at[1].set(jnp.where(data.available > 0, points[1], -jnp.inf))
     moves = step_reward(q[:, None, :-1], q[None, :, 1:], config)
-    return point_reward(data, config), step_reward(q[0, 0], q[1, 0], config), moves
+    moves -= config.switch * (1 - jnp.eye(2))[:, :, None]
+    entering = step_reward(q[0, 0], q[1, 0], config) - config.switch
+
+    def advance(value, step):
+        point, move = step
+        totals = value[:, None] + move
+        return jnp.max(totals, axis=0) + point, jnp.argmax(totals, axis=0)
+
+    first = points[:, 0].at[1].add(entering)
+    value, back = jax.lax.scan(advance, first, (points[:, 1:].T, jnp.moveaxis(moves, 2, 0)))
+    last = jnp.argmax(value)
+    choice = jax.lax.scan(lambda at, row: (row[at], row[at]), last, back, reverse=True)[1]
+    return jnp.append(choice, last), jnp.max(value)
 
 
 def make_net(joints: int, config: SwitchConfig) -> networks.ActorCritic:

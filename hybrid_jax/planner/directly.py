@@ -46,9 +46,11 @@ def joint_agent_only(planner: Planner, task: Task, *, key) -> PlanResult:
 
 def _goal(planner: Planner, task: Task, scenes: Scene, k: int, start, key):
     """Configuration at a key pose, the nearest to the start; None if there is none."""
-    if k == len(task.carrying):
-        return np.asarray(planner.cell.home)
-    before, after = (jax.tree.map(lambda a, i=i: a[i], scenes) for i in (k - 1, k))
+    last = len(task.carrying)
+    if k == last and task.end is not None:
+        return task.end
+    around = (k - 1, min(k, last - 1))
+    before, after = (jax.tree.map(lambda a, i=i: a[i], scenes) for i in around)
     found, usable, _ = jax.device_get(find_candidates(
         planner.cell, before, after, task.key_poses[k], planner.scale, key,
         planner.config.labels,
@@ -87,7 +89,9 @@ def _plan_phase(
     marks = np.full(len(path), Source.DRL, np.uint8)
     # the corners at key poses must stay
     corners = replace(config.smoothing, widths=(config.smoothing.kept, 0.0))
-    trajectory = time_path(cell, path, marks, corners, config.timing)
+    trajectory = time_path(
+        cell, path, marks, corners, config.timing, task.tool_speed(phase)
+    )
     if trajectory is None:
         return PlanResult(Status.SEAM_FAILED, f"phase {phase}: {Status.SEAM_FAILED.sentence}")
     faults = find_faults(cell, engine, task, phase, trajectory)

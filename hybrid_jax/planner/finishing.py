@@ -80,10 +80,11 @@ def time_path(
     sources: np.ndarray,
     smoothness: smoothing.SmoothingConfig,
     speed: timing.TimingConfig,
+    tool_speed: float = np.inf,
 ) -> Trajectory | None:
     """Smooth and time a joint path; None if it keeps no margin."""
     smoothed = smoothing.smooth(cell, q, sources, smoothness)
-    return smoothed and timing.time_parameterize(cell, [smoothed], speed)[0]
+    return smoothed and timing.time_parameterize(cell, [smoothed], speed, [tool_speed])[0]
 
 
 def motion_faults(
@@ -169,8 +170,9 @@ def finish_phases(
         smooth = {i: smoothing.smooth(cells[i], *tried[i], planner.config.smoothing) for i in going}
         kept = [i for i in going if smooth[i] is not None]
         timed = timing.time_parameterize(
-            planner.cell, [smooth[i] for i in kept], planner.config.timing
-        )
+            planner.cell, [smooth[i] for i in kept], planner.config.timing,
+            [drafts[i].task.tool_speed(drafts[i].number) for i in kept],
+        )  # fmt: skip
         moving = {i: motion for i, motion in zip(kept, timed, strict=True) if motion is not None}
         free = _proven(planner.cell, engine, {i: drafts[i] for i in moving}, moving)
         for i, motion in moving.items():

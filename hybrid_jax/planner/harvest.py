@@ -16,7 +16,8 @@ from hybrid_jax.planner.lfd import SkillChooser, skill_path
 from hybrid_jax.planner.routing import Leg, Routes, label_paths
 from hybrid_jax.planner.scenes import task_scenes
 from hybrid_jax.skills.library import SkillConfig, SkillLibrary
-from hybrid_jax.skills.task import Task, random_task
+from hybrid_jax.skills.task import Task
+from hybrid_jax.skills.tasks import random_task
 from hybrid_jax.types import Scene, Workcell
 
 ROUTES = 2

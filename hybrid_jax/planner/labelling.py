@@ -126,7 +126,8 @@ def label(
     cell: Workcell,
     scenes: Scene,
     poses: Float[Array, "segment point 8"],
-    ends: Float[Array, "2 n"],
+    start: Float[Array, "n"],
+    end: Float[Array, "n"] | None,
     scale: Array,
     key: PRNGKeyArray,
     config: LabelConfig,
@@ -137,19 +138,25 @@ def label(
         cell: robot and fixtures.
         scenes: of each unit segment.
         poses: of each unit segment; the last of one is the first of the next.
-        ends: configurations to start from and to end in.
+        start: configuration to start from.
+        end: configuration to end in; None for any that has the last pose.
         scale: manipulability that counts as 1.
         key: draws the seeds of the search; consumed.
         config: thresholds.
     """
-    keys = jax.random.split(key, poses.shape[0] - 1)
+    searched = poses.shape[0] - (end is not None)
+    keys, wide = jax.random.split(key, searched), (config.candidates, start.size)
+    beyond = jax.tree.map(lambda a: jnp.concatenate([a[1:], a[-1:]]), scenes)
     found, fine, reached = jax.vmap(lambda before, after, pose, key: find_candidates(
         cell, before, after, pose, scale, key, config
-    ))(_take(scenes, slice(-1)), _take(scenes, slice(1, None)), poses[:-1, -1], keys)  # fmt: skip
-    start, goal = (jnp.broadcast_to(q, (config.candidates, q.size)) for q in ends)
-    only = jnp.arange(config.candidates) == 0
-    found, fine = jnp.concatenate([found, goal[None]]), jnp.concatenate([fine, only[None]])
-    steps = _forwards(cell, scenes, poses, (start, only), (found, fine), scale, config)
+    ))(_take(scenes, searched), _take(beyond, searched), poses[:searched, -1], keys)  # fmt: skip
+    start, only = jnp.broadcast_to(start, wide), jnp.arange(config.candidates) == 0
+    fixed = jnp.zeros(poses.shape[0], bool)
+    if end is not None:
+        found = jnp.concatenate([found, jnp.broadcast_to(end, (1, *wide))])
+        fine, fixed = jnp.concatenate([fine, only[None]]), fixed.at[-1].set(True)
+    parts = (scenes, beyond, poses, found, fine, fixed)
+    steps = _forwards(cell, (start, only), parts, scale, config)
     q, usable, kept, ahead, ahead_ok = steps
 
     def retreat(scene, path, q):
@@ -163,44 +170,51 @@ def label(
     )
 
 
-def _take(scenes: Scene, part: slice) -> Scene:
-    return jax.tree.map(lambda a: a[part], scenes)
+def _take(scenes: Scene, count: int) -> Scene:
+    return jax.tree.map(lambda a: a[:count], scenes)
 
 
-def _forwards(cell: Workcell, scenes: Scene, poses, first, found, scale, config: LabelConfig):
+def _forwards(cell: Workcell, first, parts: tuple, scale, config: LabelConfig):
     """Follow the unit segments one after the other, from all candidates of their first pose.
 
     A path that is feasible to its end carries its candidate on to the next key pose; elsewhere
     one that the search found takes its place.
 
+    Args:
+        cell: robot and fixtures.
+        first: candidates of the start, and which are usable.
+        parts: of each segment its scene, the scene beyond it, its poses, the candidates of its end,
+            which of them are usable, and whether the first of them is the one to end in.
+        scale, config: thresholds.
+
     Returns:
         Candidates and which are usable at the end of each segment; which were carried on; the
         paths and which of their points are feasible.
     """
-    last = jnp.arange(poses.shape[0]) == poses.shape[0] - 1
-    beyond = jax.tree.map(lambda a: jnp.concatenate([a[1:], a[-1:]]), scenes)
 
     def advance(carry, part):
         q, usable = carry
-        scene, beyond, path, found, fine, last = part
+        scene, beyond, path, found, fine, fixed = part
         inside, onward = cell.replace(scene=scene), cell.replace(scene=beyond)
         ahead, ok = jax.vmap(lambda one: follow(inside, path, one, scale, config))(q)
         there = _judge(onward, ahead[:, -1], config.key_margin, scale, config)
-        # the end of the task is one configuration, not any that has its pose
-        there &= ~last | (jnp.max(jnp.abs(ahead[:, -1] - found), axis=-1) <= config.arrived)
+        # the end of a task may be one configuration, not any that has its pose
+        there &= ~fixed | (jnp.max(jnp.abs(ahead[:, -1] - found), axis=-1) <= config.arrived)
         kept = usable & jnp.all(ok, axis=-1) & there
-        q = jnp.where((kept & ~last)[:, None], ahead[:, -1], found)
-        usable = jnp.where(last, fine, kept | fine)
+        q = jnp.where((kept & ~fixed)[:, None], ahead[:, -1], found)
+        usable = jnp.where(fixed, fine, kept | fine)
         return (q, usable), (q, usable, kept, ahead, ok)
 
-    return jax.lax.scan(advance, first, (scenes, beyond, poses, *found, last))[1]
+    return jax.lax.scan(advance, first, parts)[1]
 
 
 @functools.partial(jax.jit, static_argnames="config")
 def label_tasks(
-    cell: Workcell, scenes: Scene, poses: Array, ends: Array, scale: Array, key, numbers, config
-) -> Labels:
-    """`label` for several tasks: scenes, poses, ends and the tasks' numbers have a leading axis."""
+    cell: Workcell, scenes: Scene, poses: Array, starts: Array, ends: Array | None, scale: Array,
+    key, numbers, config: LabelConfig,
+) -> Labels:  # fmt: skip
+    """`label` for several tasks: what belongs to a task has a leading axis."""
     one = functools.partial(label, config=config)
     keys = jax.vmap(jax.random.fold_in, (None, 0))(key, numbers)
-    return jax.vmap(one, (None, 0, 0, 0, None, 0))(cell, scenes, poses, ends, scale, keys)
+    each = (None, 0, 0, 0, 0, None, 0)
+    return jax.vmap(one, each)(cell, scenes, poses, starts, ends, scale, keys)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""OMPL's RRT-Connect on a handling task: between the same key poses, C MuJoCo as its checker."""
+"""OMPL's RRT-Connect on a task: between the same key poses, C MuJoCo as its checker."""
 
 import time
 from dataclasses import replace
@@ -47,9 +47,11 @@ class OmplTasks:
 
     def _goals(self, task: Task, scenes, k: int, start: np.ndarray, key) -> np.ndarray:
         """Configurations of a key pose, the nearest first."""
-        if k == len(task.carrying):
-            return np.asarray(self.planner.cell.home)[None]
-        before, after = (jax.tree.map(lambda a, i=i: a[i], scenes) for i in (k - 1, k))
+        last = len(task.carrying)
+        if k == last and task.end is not None:
+            return task.end[None]
+        around = (k - 1, min(k, last - 1))
+        before, after = (jax.tree.map(lambda a, i=i: a[i], scenes) for i in around)
         found, usable, _ = jax.device_get(find_candidates(
             self.planner.cell, before, after, task.key_poses[k], 1.0, key, self.labels
         ))  # fmt: skip
@@ -80,11 +82,11 @@ class OmplTasks:
         if paths is None:
             return PlanResult(Status.DRL_TIMEOUT, "OMPL found no path in time")
         scenes, phases = task_scenes(self.planner.cell, task), []
-        for low, high in task.phases:
+        for number, (low, high) in enumerate(task.phases):
             cell = inside(self.planner.cell, scenes, low)
             q = np.concatenate([paths[low], *(p[1:] for p in paths[low + 1 : high])])
             marks = np.full(len(q), Source.RRT, np.uint8)
-            timing = self.planner.config.timing
-            trajectory = time_path(cell, q, marks, self.smooth, timing)
-            phases.append(trajectory or time_path(cell, q, marks, self.bare, timing))
+            speeds = self.planner.config.timing, task.tool_speed(number)
+            trajectory = time_path(cell, q, marks, self.smooth, *speeds)
+            phases.append(trajectory or time_path(cell, q, marks, self.bare, *speeds))
         return PlanResult(Status.OK, "", phases)

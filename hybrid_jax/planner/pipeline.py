@@ -158,14 +158,15 @@ def _label(
     Of several plans of a task, the one with the fewest infeasible way points is kept.
     """
     jobs: dict[int, Job] = {}
-    for size in {len(path.poses) for *_, path in covered}:
+    kinds = [(len(path.poses), task.end is None) for _, task, _, path in covered]
+    for kind in set(kinds):
         numbers, tasks, notes, paths = zip(
-            *(row for row in covered if len(row[-1].poses) == size), strict=True
+            *(row for row, other in zip(covered, kinds, strict=True) if other == kind), strict=True
         )
         scenes = [task_scenes(planner.cell, task) for task in tasks]
         found = label_paths(
             planner.cell, list(tasks), scenes, [path.poses for path in paths],
-            planner.scale, fold_in(key, size), planner.config.labels,
+            planner.scale, fold_in(key, kind[0]), planner.config.labels,
         )  # fmt: skip
         for row in zip(numbers, tasks, notes, paths, scenes, found, strict=True):
             number, task, note, path, scene, routes = row

@@ -28,7 +28,7 @@ def _bad_numbers(cell: Workcell, task: Task) -> str | None:
         rows = np.flatnonzero(~np.isfinite(getattr(task, name)).all(axis=1))
         if rows.size:
             return f"{name}: row {rows[0]} is not finite"
-    return None
+    return within_limits(cell, np.asarray(task.end), "end")[2] if task.end is not None else None
 
 
 def within_limits(cell: Workcell, q: np.ndarray, name: str) -> tuple[np.ndarray, str, str]:

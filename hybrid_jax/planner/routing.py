@@ -179,21 +179,26 @@ def label_paths(
 ) -> list[Routes]:
     """Label the skills' paths of several tasks with as many key poses each.
 
+    All of them end in a configuration that they name, or none does.
+
     Args:
         cell: robot and fixtures.
-        tasks: they start where they say and end at home.
+        tasks: what is to be done.
         scenes: of each task's unit segments.
         poses: `[segment, point, 8]` of each task.
         scale: manipulability that counts as 1.
         key: draws IK seeds; consumed.
         config: thresholds.
     """
-    home, found = np.asarray(cell.home), []
+    found = []
     for index, count in padded_chunks(len(tasks), TOGETHER):
         some = jax.tree.map(lambda *a: np.stack(a), *[scenes[i] for i in index])
-        ends = np.stack([np.stack([tasks[i].start, home]) for i in index])
+        starts, free = np.stack([tasks[i].start for i in index]), tasks[index[0]].end is None
+        ends = None if free else np.stack([tasks[i].end for i in index])
         rows = np.stack([poses[i] for i in index])
-        labels = jax.device_get(label_tasks(cell, some, rows, ends, scale, key, index, config))
+        labels = jax.device_get(
+            label_tasks(cell, some, rows, starts, ends, scale, key, index, config)
+        )
         for i in range(count):
             one = jax.tree.map(lambda a, i=i: a[i], labels)
             found.append(Routes(one, gripper_events(tasks[index[i]]), config))

@@ -10,7 +10,9 @@ from jax import Array
 from jaxtyping import Float
 
 from hybrid_jax.planner.checking import PhaseScene
-from hybrid_jax.skills.task import Task, object_in_tool, place_pose, require_handling
+from hybrid_jax.skills.handling import object_in_tool, place_pose, require_handling
+from hybrid_jax.skills.scenes import require_task_data
+from hybrid_jax.skills.task import Task
 from hybrid_jax.types import Scene, Workcell, WorkcellSource
 from hybrid_jax.workcell import scene as scenes
 from hybrid_jax.workcell.geometry import as_row, pose_of
@@ -70,9 +72,24 @@ def kind_scenes(
     return stack_scenes([c.scene for c in (before, low, after, high)])
 
 
+def _open(cell: Workcell) -> float:
+    """How far a finger is open where nothing is held [m]; 0 where there is no gripper."""
+    gripper = require_task_data(cell).gripper
+    return gripper.open if gripper else 0.0
+
+
+@jax.jit
+def _resting_scene(cell: Workcell, poses: Float[Array, "object 7"]) -> Scene:
+    """Nothing is held."""
+    return scenes.with_opening(scenes.place_objects(cell, poses), _open(cell)).scene
+
+
 def task_scenes(cell: Workcell, task: Task) -> Scene:
     """Scene of every unit segment of a task, stacked."""
     poses = jnp.asarray(task.object_poses, jnp.float32)
+    if not any(task.carrying):
+        one, count = jax.device_get(_resting_scene(cell, poses)), len(task.carrying)
+        return jax.tree.map(lambda a: np.broadcast_to(a, (count, *a.shape)), one)
     found = kind_scenes(
         cell, poses, name=task.object_name, grasp=task.grasp, support=task.support
     )
@@ -82,13 +99,13 @@ def task_scenes(cell: Workcell, task: Task) -> Scene:
 
 def phase_scene(cell: Workcell, task: Task, kind: int) -> PhaseScene:
     """The same for the final check, which knows nothing of the kernels' scenes."""
-    data = require_handling(cell)
-    spec, poses = data.object(task.object_name), np.array(task.object_poses)
+    poses = np.array(task.object_poses)
     if kind == LEAVING:
         index = cell.source.layout.object_names.index(task.object_name)
         poses[index] = placed_pose(cell, task.object_name)
     if kind in (REACHING, LEAVING):
-        return PhaseScene(poses, data.gripper.open, None, None, ())
+        return PhaseScene(poses, _open(cell), None, None, ())
+    spec = require_handling(cell).object(task.object_name)
     held, support = object_in_tool(spec, task.grasp), task.support if kind == CARRYING else ()
     return PhaseScene(poses, spec.grip, task.object_name, held, support)
 

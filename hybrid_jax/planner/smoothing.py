@@ -35,14 +35,12 @@ class SmoothingConfig:
     beside: int = 12
     """... but for so many half steps beside an end that has less."""
     shortcuts: int = 16
-    """Pairs of points tried in each of `shortcut_rounds`, ..."""
+    """Pairs of points drawn in each of `shortcut_rounds`; ..."""
     shortcut_rounds: int = 2
-    coarse: int = 8
-    """... at first with so many checks along the edge between them; ..."""
-    promising: int = 4
-    """... so many of those that would save most ..."""
+    checked: int = 8
+    """... the edges of so many of them, which would save most, are checked ..."""
     fine: int = 32
-    """... are checked again with so many."""
+    """... at so many points."""
 
 
 def refine(q: np.ndarray, spacing: float) -> np.ndarray:
@@ -78,15 +76,14 @@ def _best_shortcut(cell, q: np.ndarray, pairs: np.ndarray, margin: float, config
     starts, ends = (q[column].astype(np.float32) for column in pairs.T)
     length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))])
     gain = length[pairs[:, 1]] - length[pairs[:, 0]] - np.linalg.norm(ends - starts, axis=1)
-    for samples, count in ((config.coarse, len(pairs)), (config.fine, config.promising)):
-        best = np.argsort(-gain, kind="stable")[:count]
-        free = _edges_are_free(
-            cell, cell.scene, starts[best], ends[best], np.float32(margin), samples
-        )
-        gain[np.delete(np.arange(len(gain)), best)] = 0.0
-        gain[best] = np.where(free, gain[best], 0.0)
-    best = int(np.argmax(gain))
-    return best if gain[best] > LEAST_GAIN else None
+    best = np.argsort(-gain, kind="stable")[: config.checked]
+    if gain[best[0]] <= LEAST_GAIN:
+        return None
+    free = _edges_are_free(
+        cell, cell.scene, starts[best], ends[best], np.float32(margin), config.fine
+    )
+    kept = np.flatnonzero(np.asarray(free) & (gain[best] > LEAST_GAIN))
+    return int(best[kept[0]]) if kept.size else None
 
 
 def shortcut(

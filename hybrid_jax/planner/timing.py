@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: MIT
 """From joint paths to trajectories in time (TOPP-RA, arXiv:1707.07239)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jax
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.batching import padded_chunks
+from hybrid_jax.kernels.kinematics import tool_pose
 from hybrid_jax.kernels.pathspeed import fastest_speeds
 from hybrid_jax.types import Trajectory, Workcell
 
@@ -23,6 +26,7 @@ ROUNDINGS = 0.0, 0.02, 0.04, 0.08, 0.16, 0.32
 """Times over which the speed along a path is averaged where the jerk is limited [s]: the one that
 gives the shortest motion is used."""
 
+_tool_positions = jax.jit(jax.vmap(lambda cell, q: dq.position(tool_pose(cell, q)), (None, 0)))
 _speeds = jax.jit(jax.vmap(fastest_speeds, (0, 0, 0, None, None)))
 
 
@@ -94,14 +98,21 @@ class _Path:
 
 
 def time_parameterize(
-    cell: Workcell, paths: list[tuple[np.ndarray, np.ndarray]], config: TimingConfig
+    cell: Workcell,
+    paths: list[tuple[np.ndarray, np.ndarray]],
+    config: TimingConfig,
+    tool_speeds: Sequence[float] = (),
 ) -> list[Trajectory | None]:
     """Fastest motions along paths under the velocity and acceleration limits.
+
+    Where the tool would exceed its own limit, the whole motion is as much slower.
 
     Args:
         cell: limits.
         paths: of each, `[point, joint]` configurations and `[point]` where they came from.
         config: shares of the limits, spacing of the result.
+        tool_speeds: most that the tool may move on each path [m/s], inf for no limit; none for
+            none anywhere.
 
     Returns:
         A trajectory for each path, None where it has fewer than three different points.
@@ -121,8 +132,22 @@ def time_parameterize(
         block = [np.stack(a) for a in zip(*(path.rows(size) for path in some), strict=True)]
         squared = np.asarray(_speeds(*(a.astype(np.float32) for a in (*block, *limits))))
         for i, path, one in zip(index[:count], some[:count], squared[:count], strict=True):
-            found[rows[i]] = path.sample(one, config, limits)
+            most = tool_speeds[rows[i]] if tool_speeds else np.inf
+            slower = _share_of_speed(cell, path, one, most)
+            found[rows[i]] = path.sample(slower**2 * one, config, limits)
     return found
+
+
+def _share_of_speed(cell: Workcell, path: _Path, squared: np.ndarray, most: float) -> float:
+    """How much of its speed a motion may keep so that the tool stays below a limit [m/s]."""
+    if np.isinf(most):
+        return 1.0
+    size, count = len(squared), len(path.grid)
+    grid = np.concatenate([path.grid, path.grid[-1:].repeat(size - count)])
+    tool = np.asarray(_tool_positions(cell, path.spline(grid).astype(np.float32)))[:count]
+    speed = np.sqrt(np.maximum(squared[:count], 0.0))
+    way = np.linalg.norm(np.diff(tool, axis=0), axis=1) / np.diff(path.grid)
+    return min(1.0, most / max(1e-9, float(np.max(way * np.maximum(speed[1:], speed[:-1])))))
 
 
 def _grid(knots: np.ndarray, bend: np.ndarray) -> np.ndarray:

@@ -10,7 +10,8 @@ import numpy as np
 from hybrid_jax.planner.scenes import placed_pose
 from hybrid_jax.simulation.plant import Plant, Steps
 from hybrid_jax.simulation.sensing import OBJECTS
-from hybrid_jax.skills.task import Task, object_in_tool, yaw_of
+from hybrid_jax.skills.handling import object_in_tool
+from hybrid_jax.skills.task import Task, yaw_of
 from hybrid_jax.types import Trajectory
 
 
@@ -121,7 +122,7 @@ class Execution:
         """Along a trajectory, then at rest; brakes and returns an `Ending` if `watch` sees one."""
         plant, now, self.following = self.plant, 0.0, trajectory
         times = np.arange(plant.dt, trajectory.times[-1] + self.config.dwell, plant.dt)
-        for chunk in plant.chunks(*_targets(trajectory, times), grip):
+        for chunk in plant.chunks(*targets(trajectory, times), grip):
             yield from plant.step(chunk, self.allowed(grip))
             now += len(chunk.targets) * plant.dt
             ending = watch(now)
@@ -134,7 +135,7 @@ class Execution:
         """To rest along the path, ever slower."""
         plant, brake = self.plant, self.config.brake
         since = np.arange(plant.dt, brake + plant.dt / 2, plant.dt)
-        q, velocity = _targets(trajectory, now + since - since**2 / (2 * brake))
+        q, velocity = targets(trajectory, now + since - since**2 / (2 * brake))
         for chunk in plant.chunks(q, velocity * (1 - since / brake)[:, None], grip):
             yield from plant.step(chunk, self.allowed(grip))
 
@@ -213,7 +214,7 @@ class Execution:
         return allowed
 
 
-def _targets(trajectory: Trajectory, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def targets(trajectory: Trajectory, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Configurations and velocities `[time, joint]`; at rest before and after."""
     inside = (times >= 0) & (times < trajectory.times[-1])
     q, velocity = (

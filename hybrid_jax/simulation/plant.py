@@ -16,7 +16,8 @@ import numpy as np
 from hybrid_jax.planner.records import PlanResult
 from hybrid_jax.simulation.engines import get_state
 from hybrid_jax.simulation.sensing import FINGERS, OBJECTS, SensedCell
-from hybrid_jax.skills.task import Task, require_handling
+from hybrid_jax.skills.scenes import require_task_data
+from hybrid_jax.skills.task import Task
 from hybrid_jax.workcell.layout import home_qpos
 
 
@@ -85,6 +86,11 @@ class Touch:
         return f"{self.mover} touched {self.thing} at {self.time:.2f} s"
 
 
+def ticks(sensed: SensedCell, seconds: float) -> int:
+    """Physics steps in some time."""
+    return max(1, round(seconds / sensed.model.opt.timestep))
+
+
 class Plant:
     """State, readings and history of one run."""
 
@@ -94,17 +100,19 @@ class Plant:
         object_poses: np.ndarray,
         tick: int,
         model: mujoco.MjModel | None = None,
+        start: np.ndarray | None = None,
     ):
-        """The arm at home, the gripper open.
+        """The arm at rest, the gripper open.
 
         Args:
             sensed: the cell.
             object_poses: `[object, 7]` where the objects lie.
             tick: physics steps between two readings.
             model: its numbers may differ from the sensed cell's.
+            start: `[joint]` where the arm stands [rad]; at home if None.
         """
         self.sensed, self.model, self.tick = sensed, model or sensed.model, tick
-        self.layout, self.spec = sensed.layout, require_handling(sensed.cell)
+        self.layout, self.spec = sensed.layout, require_task_data(sensed.cell)
         self.dt = float(self.model.opt.timestep)
         self.data = mujoco.MjData(self.model)
         self.servos = list(self.layout.actuators)
@@ -115,6 +123,8 @@ class Plant:
         self.data.qpos[:] = home_qpos(self.model)
         for address, pose in zip(self.layout.object_qpos, object_poses, strict=True):
             self.data.qpos[address : address + 7] = pose
+        if start is not None:
+            self.data.qpos[list(self.layout.qpos)] = start
         mujoco.mj_forward(self.model, self.data)
         self.state = get_state(self.model, self.data)
         self.welded = np.array(self.model.eq_active0, float)
@@ -140,6 +150,18 @@ class Plant:
         site = self.layout.tool_site
         offset = self.data.xpos[self.layout.object_bodies[index]] - self.data.site_xpos[site]
         return self.data.site_xmat[site].reshape(3, 3).T @ offset
+
+    def tools(self, every: int) -> list[np.ndarray]:
+        """Poses `[7]` of the tool in the last tick: after each `every` steps, and at its end."""
+        states = self.last.states[every - 1 :: every][:-1] if self.last else []
+        found, site, qpos = [], self.layout.tool_site, self.data.qpos
+        for state in [*states, self.state]:
+            qpos[:] = state[1 : 1 + self.model.nq]
+            mujoco.mj_kinematics(self.model, self.data)
+            turn = np.empty(4)
+            mujoco.mju_mat2Quat(turn, self.data.site_xmat[site])
+            found.append(np.concatenate([self.data.site_xpos[site], turn]))
+        return found
 
     def object_speed(self, index: int) -> float:
         """Largest component of an object's velocity [m/s or rad/s]."""
@@ -176,7 +198,8 @@ class Plant:
         velocity = np.concatenate([velocity, np.zeros((missing, q.shape[1]))])
         rows = np.zeros((len(q), self.model.nu + self.model.neq))
         rows[:, self.servos] = q + self.lag * velocity
-        rows[:, self.layout.gripper_actuator] = grip
+        if self.layout.gripper_actuator >= 0:
+            rows[:, self.layout.gripper_actuator] = grip
         parts = (slice(i, i + self.tick) for i in range(0, len(q), self.tick))
         return [Chunk(rows[part], q[part]) for part in parts]
 

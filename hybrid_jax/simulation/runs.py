@@ -14,10 +14,11 @@ from hybrid_jax.simulation.disturbances import CALM, Disturbance, disturbed_mode
 from hybrid_jax.simulation.driving import Planning, drive
 from hybrid_jax.simulation.engines import make_engine
 from hybrid_jax.simulation.execution import Ending, Execution, ExecutionConfig
-from hybrid_jax.simulation.plant import Plant, Touch
-from hybrid_jax.simulation.sensing import SensedCell, sense_cell
+from hybrid_jax.simulation.plant import Plant, Touch, ticks
+from hybrid_jax.simulation.sensing import sense_cell
 from hybrid_jax.simulation.sorting import ObjectReport, Sorting, in_tray
-from hybrid_jax.skills.task import Task, sample_scene
+from hybrid_jax.skills.scenes import sample_scene
+from hybrid_jax.skills.task import Task
 from hybrid_jax.types import Workcell
 
 
@@ -71,11 +72,6 @@ def planning(planner: Planner, plan_batch: Callable[..., list[PlanResult]], seed
     return lambda tasks: plan_batch(planner, tasks, key=fold_in(key, next(numbers)))
 
 
-def ticks(sensed: SensedCell, config: ExecutionConfig) -> int:
-    """Physics steps between two looks."""
-    return max(1, round(config.tick / sensed.model.opt.timestep))
-
-
 def sort_scenes(
     cell: Workcell,
     plan: Planning,
@@ -100,7 +96,7 @@ def sort_scenes(
     """
     sensed = sense_cell(cell)
     model, names = disturbed_model(sensed.model, cell, disturbance), list(names or _names(cell))
-    tick = ticks(sensed, config)
+    tick = ticks(sensed, config.tick)
     plants = [Plant(sensed, sample_scene(cell, seed), tick, model) for seed in seeds]
     runs = [
         Sorting(plant, names, seed, disturbance, config).run()
@@ -138,7 +134,7 @@ def execute(
         BlownUp: the simulation left the numbers that mean something.
     """
     sensed = sense_cell(cell)
-    plant = Plant(sensed, task.object_poses, ticks(sensed, config))
+    plant = Plant(sensed, task.object_poses, ticks(sensed, config.tick))
     execution = Execution(plant, task, plan.phases, config)
     ending = drive([execution.run()], make_engine(sensed, engine))[0]
     return ExecutionReport(

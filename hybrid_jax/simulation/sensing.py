@@ -9,7 +9,8 @@ import numpy as np
 
 from hybrid_jax.errors import WorkcellError
 from hybrid_jax.quiet import engine_messages
-from hybrid_jax.skills.task import object_in_tool, require_handling
+from hybrid_jax.skills.handling import object_in_tool
+from hybrid_jax.skills.scenes import require_task_data
 from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.layout import Layout
 
@@ -83,7 +84,10 @@ def _fixtures(model: mujoco.MjModel) -> tuple[str, ...]:
 
 
 def _pairs(model: mujoco.MjModel, layout: Layout) -> tuple[tuple[Pair, ...], tuple, np.ndarray]:
-    """The sensors, the things, and the weights."""
+    """The sensors, the things, and the weights.
+
+    Where there is no gripper no object is carried, and objects are not asked what they touch.
+    """
     objects, fixtures = layout.object_names, _fixtures(model)
     fingers = sorted({model.body(model.jnt_bodyid[j]).name for j in layout.fingers})
     things = (*objects, *fixtures)
@@ -103,7 +107,7 @@ def _pairs(model: mujoco.MjModel, layout: Layout) -> tuple[tuple[Pair, ...], tup
     for thing in objects:
         for finger in fingers:
             sense(finger, False, thing, (FINGERS, 1, thing), (ARM, -1, thing))
-    for k, first in enumerate(objects):
+    for k, first in enumerate(objects if fingers else ()):
         for second in (*objects[k + 1 :], *fixtures):
             both = [(OBJECTS + k, 1, second)]
             if second in objects:
@@ -114,10 +118,12 @@ def _pairs(model: mujoco.MjModel, layout: Layout) -> tuple[tuple[Pair, ...], tup
 
 def _add_welds(spec: mujoco.MjSpec, cell: Workcell) -> None:
     """Equalities that hold each object in the tool as it was gripped; none is active."""
-    model, layout = cell.model, cell.source.layout
+    model, layout, data = cell.model, cell.source.layout, cell.source.task
+    if data.gripper is None:
+        return
     hand = int(model.site_bodyid[layout.tool_site])
     for name in layout.object_names:
-        held = object_in_tool(require_handling(cell).object(name))
+        held = object_in_tool(data.object(name))
         position, quat = np.empty(3), np.empty(4)
         site = model.site_pos[layout.tool_site], model.site_quat[layout.tool_site]
         mujoco.mju_mulPose(position, quat, *site, held[:3], held[3:])
@@ -129,12 +135,12 @@ def _add_welds(spec: mujoco.MjSpec, cell: Workcell) -> None:
 
 
 def sense_cell(cell: Workcell) -> SensedCell:
-    """A handling cell whose contacts can be told apart in either engine.
+    """A cell whose contacts can be told apart in either engine.
 
     Raises:
         WorkcellError: no task data, or the cell was not read from an MJCF file with named bodies.
     """
-    require_handling(cell)
+    require_task_data(cell)
     path, layout = cell.source.path, cell.source.layout
     if path is None or path.suffix != ".xml":
         raise WorkcellError(f"{cell.source.name}: only cells of MJCF files can be executed")

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from hybrid_jax.simulation.disturbances import CALM, Disturbance, measured, push
 from hybrid_jax.simulation.execution import Ending, Execution, ExecutionConfig
 from hybrid_jax.simulation.plant import BlownUp, Plan, Plant, Steps, Touch
-from hybrid_jax.skills.task import handling_task
+from hybrid_jax.skills.handling import handling_task
 from hybrid_jax.types import Source, Status
 
 AGAIN = Ending.MOVED, Ending.BLOCKED, Ending.MISSED

@@ -6,7 +6,7 @@ trembles. The arm follows within its limits, and the arm's own tool poses are re
 happens in free space, without the cell's walls: what a demonstrator who stands beside the bare
 robot would do.
 
-    python -m hybrid_jax.skills.handguiding --workcell gen3_handling
+    python -m hybrid_jax.skills.handguiding --workcell CELL --robot "its name"
 """
 
 from dataclasses import dataclass
@@ -102,8 +102,8 @@ def record(
 
 
 def main(
-    workcell: str = "gen3_handling",
-    robot: str = "Kinova Gen3",
+    workcell: str,
+    robot: str,
     seed: int = 0,
     out: Path | None = None,
     names: tuple[str, ...] = (),

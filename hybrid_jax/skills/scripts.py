@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from hybrid_jax.skills import task as tasks
+from hybrid_jax.skills.handling import handling_task, require_handling
+from hybrid_jax.skills.task import home_pose
 from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.layout import home_qpos
 
@@ -38,7 +39,7 @@ def shifted(pose: RigidTransform, x=0.0, y=0.0, z=0.0) -> RigidTransform:
 
 def _key_poses(cell: Workcell, name: str) -> list[RigidTransform]:
     """Key poses of sorting one object that lies in the middle of its region."""
-    data, layout = tasks.require_handling(cell), cell.source.layout
+    data, layout = require_handling(cell), cell.source.layout
     spec, home = data.object(name), home_qpos(cell.model)
     poses = np.stack([home[a : a + 7] for a in layout.object_qpos])
     row = layout.object_names.index(name)
@@ -46,13 +47,13 @@ def _key_poses(cell: Workcell, name: str) -> list[RigidTransform]:
     poses[row, 3:] = [1.0, 0.0, 0.0, 0.0]
     return [
         RigidTransform.from_dual_quat(pose.astype(float), scalar_first=True)
-        for pose in tasks.handling_task(cell, name, poses).key_poses
+        for pose in handling_task(cell, name, poses).key_poses
     ]
 
 
 def handling_scripts(cell: Workcell) -> Iterator[Script]:
     """Skills that sort objects into trays, for each kind of object and each tray."""
-    data = tasks.require_handling(cell)
+    data = require_handling(cell)
     kinds = {spec.kind: spec for spec in reversed(data.objects)}
     trays = {spec.tray: spec for spec in kinds.values()}
     for kind, spec in kinds.items():
@@ -81,26 +82,26 @@ def handling_scripts(cell: Workcell) -> Iterator[Script]:
     yield Script("place", True, [above, back, placed], "put an object down")
 
 
-HOVER = RigidTransform.from_components([0.45, 0.0, 0.30], _DOWN)
-"""Above the middle of the part tray that the inspection skills are shown on."""
+HOVER = RigidTransform.from_components([0.45, 0.33, 0.30], _DOWN)
+"""Above the middle of the part tray that the inspection skills are shown on: aside of home."""
 
 
-def on_part(x: float, y: float, tilt: float = 0.0, turn: float = 0.0) -> RigidTransform:
+def on_part(x: float, y: float, tilt: float = 0.0, roll: float = 0.0) -> RigidTransform:
     """The brush on a part: `x`, `y` [m] from the tray's middle, 0.22 m below the hover pose.
 
     Args:
         x, y: where it touches [m].
         tilt: angle of the brush about the base's y axis [rad].
-        turn: heading of the brush [rad].
+        roll: angle of the brush about the base's x axis [rad].
     """
-    rotation = Rotation.from_euler("zy", [turn, tilt]) * _DOWN
+    rotation = Rotation.from_euler("xy", [roll, tilt]) * _DOWN
     return RigidTransform.from_components(HOVER.translation + [x, y, -0.22], rotation)
 
 
 def inspection_scripts(cell: Workcell) -> Iterator[Script]:
     """Skills that brush parts on a tray, as in the paper's inspection study."""
     home = RigidTransform.from_dual_quat(
-        np.asarray(tasks.home_pose(cell), float), scalar_first=True
+        np.asarray(home_pose(cell), float), scalar_first=True
     )
     near = shifted(HOVER, z=0.06)
     yield Script("hover", False, [home, near, HOVER], "go from home over the tray's middle")
@@ -113,8 +114,9 @@ def inspection_scripts(cell: Workcell) -> Iterator[Script]:
     start, middle, end = on_part(-0.06, 0.0), on_part(0.0, 0.0), on_part(0.06, 0.0)
     yield Script("stroke_straight", False, [start, middle, end], "brush along a flat part")
     for side, sign in (("left", 1.0), ("right", -1.0)):
-        twist = [on_part(-0.06 + 0.06 * i, 0.0, turn=0.45 * sign * i) for i in range(3)]
-        yield Script(f"stroke_twist_{side}", False, twist, "brush and twist about the tool")
+        twist = [on_part(-0.06 + 0.06 * i, 0.0, roll=0.25 * sign * (i - 1)) for i in range(3)]
+        note = f"brush along a part that is twisted to the {side}"
+        yield Script(f"stroke_twist_{side}", False, twist, note)
     turned = [shifted(on_part(-0.06 + 0.06 * i, 0.0, tilt=0.3 * (i - 1)), z=0.012 * (i % 2))
               for i in range(3)]  # fmt: skip
     yield Script("stroke_turn", False, turned, "brush over a curved part, turning with its surface")

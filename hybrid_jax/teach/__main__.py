@@ -10,7 +10,7 @@ from hybrid_jax.train import run_cli
 
 
 def main(
-    workcell: str = "gen3_handling",
+    workcell: str = "",
     library: Path = Path("skills"),
     robot: str = "",
     host: str = "127.0.0.1",
@@ -19,7 +19,7 @@ def main(
     """Serve a page on which the arm follows a handle; record, replay, name and save.
 
     Args:
-        workcell: name of a shipped cell, or an MJCF file.
+        workcell: name of a shipped cell, or an MJCF file; the handling cell if not given.
         library: folder that the demonstrations are saved to.
         robot: kind of robot, as the recordings are to say; the cell's name if not given.
         host: address to listen at. Anyone who can reach it can move the simulated arm.
@@ -31,9 +31,10 @@ def main(
         raise HybridJaxError(
             f"the page needs the package {error.name}: pip install 'hybrid_jax[teach]'"
         ) from None
+    from hybrid_jax.workcell.assets import default_workcell  # noqa: PLC0415
     from hybrid_jax.workcell.load import load_workcell  # noqa: PLC0415
 
-    cell = load_workcell(workcell)
+    cell = load_workcell(workcell or default_workcell())
     page = TeachPage(cell, library, robot or cell.source.name, host, port)
     print(f"open {page.address} in a browser; Ctrl-C ends it", flush=True)
     try:

@@ -19,6 +19,11 @@ def workcell_names() -> list[str]:
     return sorted(path.stem for path in (robots_folder() / "workcells").glob("*.xml"))
 
 
+def default_workcell() -> str:
+    """Cell that commands take where none is named."""
+    return (robots_folder() / "workcells" / "default.txt").read_text().strip()
+
+
 def find_workcell(name_or_path: str | Path) -> Path:
     """MJCF file of a cell, from the name of a shipped cell or a path to a file.
 

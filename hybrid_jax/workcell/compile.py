@@ -13,7 +13,7 @@ from hybrid_jax.types import RobotShapes, Scene, Workcell, WorkcellSource
 from hybrid_jax.workcell import geometry
 from hybrid_jax.workcell.chain import joint_frames, kinematic_chain, reference_data
 from hybrid_jax.workcell.contacts import contact_pairs
-from hybrid_jax.workcell.description import Handling
+from hybrid_jax.workcell.description import TaskData
 from hybrid_jax.workcell.layout import body_joints, body_path, find_layout, home_qpos
 from hybrid_jax.workcell.poses import matrix_pose, pose_of
 
@@ -92,7 +92,7 @@ def _digest(arrays, names, task) -> str:
 def compile_workcell(
     model: mujoco.MjModel,
     name: str,
-    task: Handling | None,
+    task: TaskData | None,
     mesh_tolerance: float = MESH_TOLERANCE,
     path: Path | None = None,
 ) -> Workcell:
@@ -116,12 +116,14 @@ def compile_workcell(
     )
     objects = _objects(model, data, layout, movable, mesh_tolerance)
     owners = [_object_of(model, layout, p.geom) for p in objects]
-    slots = _payload_slots(owners, objects)
+    gripper = task.gripper if task else None
+    nothing_held = task is not None and gripper is None
+    slots = (0, 0) if nothing_held else _payload_slots(owners, objects)
     pairs = contact_pairs(model, robot, slots, fixtures, objects, links, len(layout.joints) - 1)
     scene = Scene(
         objects=geometry.to_shapes(objects),
         payload=geometry.to_shapes([], slots),
-        opening=jnp.float32(task.gripper.open if task else 0.0),
+        opening=jnp.float32(gripper.open if gripper else 0.0),
         support_on=jnp.ones(len(fixtures)),
     )
     arrays = {

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""What a handling task needs beyond geometry: objects, grasps, trays. Read from `CELL.toml`."""
+"""What the tasks of a cell need beyond geometry: objects, grasps, strokes. Read from `CELL.toml`.
+
+The file's `kind` says what is done in the cell: `handling` or `inspection`.
+"""
 
 import tomllib
 from dataclasses import dataclass
@@ -82,17 +85,95 @@ class Handling:
 
     def object(self, name: str) -> ObjectSpec:
         """Object by name."""
-        for spec in self.objects:
-            if spec.name == name:
-                return spec
-        raise UnknownNameError("object", name, [spec.name for spec in self.objects])
+        return _by_name("object", name, self.objects)
 
     def tray(self, name: str) -> TraySpec:
         """Tray by name."""
-        for spec in self.trays:
-            if spec.name == name:
-                return spec
-        raise UnknownNameError("tray", name, [spec.name for spec in self.trays])
+        return _by_name("tray", name, self.trays)
+
+    @property
+    def fixture_names(self) -> tuple[str, ...]:
+        """Bodies that the data name."""
+        return (self.table, *(tray.name for tray in self.trays))
+
+
+@dataclass(frozen=True)
+class FaceSpec:
+    """A face that is brushed: a strip along a part's x axis that twists evenly about it."""
+
+    name: str
+    length: float
+    """Of the stroke; its middle is the part's origin [m]."""
+    height: float
+    """Of the strip's middle line above the part's origin [m]."""
+    twist: tuple[float, float]
+    """Angle of the face about x where the stroke begins and where it ends [rad]."""
+
+
+@dataclass(frozen=True)
+class PartSpec:
+    """A part that is brushed: where it lies, and its face."""
+
+    name: str
+    """Free body."""
+    face: str
+    """Name of its face."""
+    spawn: tuple[float, float, float]
+    """Middle of the region where it lies: x, y [m], yaw [rad]."""
+    jitter: tuple[float, float, float]
+    """Half widths of that region [m, m, rad]."""
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """An inspection task: go over the tray, then brush one of the parts in it from end to end."""
+
+    tool_site: str
+    """Tips of the brush; it points along z, and is moved along x."""
+    tray: str
+    """Body that the parts lie in."""
+    hover: float
+    """Height above the tray's origin at which the arm comes to rest before it brushes [m]."""
+    brush_speed: float
+    """Most that the brush may move on a part [m/s]."""
+    start_jitter: float
+    """Tasks begin within so much of home in every joint [rad]."""
+    faces: tuple[FaceSpec, ...]
+    parts: tuple[PartSpec, ...]
+
+    @property
+    def objects(self) -> tuple[PartSpec, ...]:
+        """What can be moved in the cell."""
+        return self.parts
+
+    @property
+    def gripper(self) -> None:
+        """Nothing is carried."""
+        return None
+
+    @property
+    def fixture_names(self) -> tuple[str, ...]:
+        """Bodies that the data name."""
+        return (self.tray,)
+
+    def part(self, name: str) -> PartSpec:
+        """Part by name."""
+        return _by_name("part", name, self.parts)
+
+    def face(self, name: str) -> FaceSpec:
+        """Face by name."""
+        return _by_name("face", name, self.faces)
+
+
+TaskData = Handling | Inspection
+"""Task data of a cell."""
+
+
+def _by_name(what: str, name: str, specs):
+    for spec in specs:
+        if spec.name == name:
+            return spec
+    raise UnknownNameError(what, name, [spec.name for spec in specs])
 
 
 def _fixed(value):
@@ -109,11 +190,35 @@ def _record(kind, values: dict, where: str):
         raise WorkcellError(f"{where}: {error}; the fields are: {fields}") from None
 
 
-def read_handling(path: Path) -> Handling | None:
+def _records(kind, tables: list[dict], where: str) -> tuple:
+    return tuple(_record(kind, table, where) for table in tables)
+
+
+def _handling(data: dict, name: str) -> Handling:
+    gripper = _record(GripperSpec, data.pop("gripper", {}), f"{name} [gripper]")
+    trays = _records(TraySpec, data.pop("trays", []), f"{name} [[trays]]")
+    objects = _records(ObjectSpec, data.pop("objects", []), f"{name} [[objects]]")
+    return _record(Handling, data | {"gripper": gripper, "trays": trays, "objects": objects}, name)
+
+
+def _inspection(data: dict, name: str) -> Inspection:
+    faces = _records(FaceSpec, data.pop("faces", []), f"{name} [[faces]]")
+    parts = _records(PartSpec, data.pop("parts", []), f"{name} [[parts]]")
+    found = _record(Inspection, data | {"faces": faces, "parts": parts}, name)
+    for part in parts:
+        found.face(part.face)
+    return found
+
+
+_READERS = {"handling": _handling, "inspection": _inspection}
+
+
+def read_task_data(path: Path) -> TaskData | None:
     """Read the task data beside a cell's MJCF; None where there is none.
 
     Raises:
         WorkcellError: the file does not parse, or a field is missing or unknown.
+        UnknownNameError: no such kind of task, or a part has a face that is not listed.
     """
     if not path.is_file():
         return None
@@ -121,10 +226,7 @@ def read_handling(path: Path) -> Handling | None:
         data = tomllib.loads(path.read_text())
     except tomllib.TOMLDecodeError as error:
         raise WorkcellError(f"{path.name} is no valid TOML: {error}") from None
-    gripper = _record(GripperSpec, data.pop("gripper", {}), f"{path.name} [gripper]")
-    trays = tuple(_record(TraySpec, t, f"{path.name} [[trays]]") for t in data.pop("trays", []))
-    objects = tuple(
-        _record(ObjectSpec, o, f"{path.name} [[objects]]") for o in data.pop("objects", [])
-    )
-    extra = {"gripper": gripper, "trays": trays, "objects": objects}
-    return _record(Handling, data | extra, path.name)
+    kind = data.pop("kind", "handling")
+    if kind not in _READERS:
+        raise UnknownNameError(f"kind of task in {path.name}", kind, _READERS)
+    return _READERS[kind](data, path.name)

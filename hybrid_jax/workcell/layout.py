@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from hybrid_jax.errors import UnknownNameError, WorkcellError
-from hybrid_jax.workcell.description import Handling
+from hybrid_jax.workcell.description import TaskData
 
 _MOTION = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
@@ -58,7 +58,7 @@ def body_joints(model: mujoco.MjModel, body: int) -> range:
     return range(first, first + int(model.body_jntnum[body])) if first >= 0 else range(0)
 
 
-def _find_tool(model: mujoco.MjModel, task: Handling | None) -> int:
+def _find_tool(model: mujoco.MjModel, task: TaskData | None) -> int:
     names = [model.site(i).name for i in range(model.nsite)]
     wanted = (task.tool_site,) if task else TOOL_NAMES
     for name in wanted:
@@ -110,7 +110,7 @@ def _count(model, kind) -> int:
     return counts[kind]
 
 
-def find_layout(model: mujoco.MjModel, task: Handling | None) -> Layout:
+def find_layout(model: mujoco.MjModel, task: TaskData | None) -> Layout:
     """Tell arm, gripper and movable objects apart.
 
     Raises:
@@ -129,8 +129,8 @@ def find_layout(model: mujoco.MjModel, task: Handling | None) -> Layout:
         free = [_named(model, mujoco.mjtObj.mjOBJ_BODY, "object", n) for n in names] + [
             b for b in free if model.body(b).name not in names
         ]
-        for tray in task.trays:
-            _named(model, mujoco.mjtObj.mjOBJ_BODY, "tray", tray.name)
+        for name in task.fixture_names:
+            _named(model, mujoco.mjtObj.mjOBJ_BODY, "fixture", name)
     gripper = task.gripper if task else None
     return Layout(
         joint_names=tuple(_name(model, mujoco.mjtObj.mjOBJ_JOINT, j) for j in joints),

@@ -14,7 +14,7 @@ from hybrid_jax.workcell import geometry
 from hybrid_jax.workcell.assets import find_workcell
 from hybrid_jax.workcell.compile import MESH_TOLERANCE, compile_workcell
 from hybrid_jax.workcell.contacts import may_collide
-from hybrid_jax.workcell.description import read_handling
+from hybrid_jax.workcell.description import read_task_data
 from hybrid_jax.workcell.layout import TOOL_NAMES, home_qpos
 from hybrid_jax.workcell.scene import place_objects
 
@@ -67,7 +67,7 @@ def check_home(model: mujoco.MjModel, robot_geoms: set[int]) -> None:
 def load_workcell(name_or_path: str | Path, *, mesh_tolerance: float = MESH_TOLERANCE) -> Workcell:
     """Load a work cell by the name of a shipped one or from an MJCF file.
 
-    A file `CELL.toml` beside `CELL.xml` holds the task data (objects, grasps, trays). Joint
+    A file `CELL.toml` beside `CELL.xml` holds the task data (objects, grasps, strokes). Joint
     velocity and acceleration limits stand in the joints' `user` data.
 
     Raises:
@@ -76,7 +76,7 @@ def load_workcell(name_or_path: str | Path, *, mesh_tolerance: float = MESH_TOLE
     """
     path = find_workcell(name_or_path)
     model = read_model(path)
-    task = read_handling(path.with_suffix(".toml"))
+    task = read_task_data(path.with_suffix(".toml"))
     cell = compile_workcell(model, path.stem, task, mesh_tolerance, path)
     fixed_or_object = {
         g

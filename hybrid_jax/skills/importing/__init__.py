@@ -2,9 +2,9 @@
 """Read recordings of other tools: CSV, NPZ, ROS 2 bags. Units are stated, never guessed.
 
 **CSV**: a header line of names with units, `time [s], x [mm], y [mm], z [mm], qw, qx, qy, qz`, or
-`roll [deg], pitch [deg], yaw [deg]` (about the fixed axes x, y, z: FANUC's W, P, R) instead of the
-quaternion, and `gripper` (0 open .. 1 closed) if there is one. Lines `# robot: NAME`,
-`# frame: NAME`, `# note: TEXT` before it say the rest.
+`roll [deg], pitch [deg], yaw [deg]` (about the fixed axes x, y, z: W, P, R of some controllers)
+instead of the quaternion, and `gripper` (0 open .. 1 closed) if there is one. Lines
+`# robot: NAME`, `# frame: NAME`, `# note: TEXT` before it say the rest.
 
 **NPZ**: `poses [sample, 7]` or, for several demonstrations, `[demo, sample, 7]`; `times` [s] or
 `rate` [Hz]; `gripper` if there is one; and, as strings, `length_unit` (m, cm, mm), `quaternion`

@@ -65,7 +65,7 @@ def draw_study(path: Path, rows: list[dict]) -> None:
 
     Args:
         path: PNG to write.
-        rows: runs, see `study.row_of`.
+        rows: runs, see `handling.row_of`.
     """
     methods = list(dict.fromkeys(row["method"] for row in rows))
     fig, axes = plt.subplots(1, 2, figsize=(13, 4.4), layout="constrained")

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: MIT
+"""Handling tasks: take an object from where it lies and put it into its tray."""
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from hybrid_jax.errors import WorkcellError
+from hybrid_jax.skills.scenes import sample_scene
+from hybrid_jax.skills.task import Task, as_dual_quats, home_pose, start_of, upright, yaw_of
+from hybrid_jax.types import Workcell, WorkcellSource
+from hybrid_jax.workcell.description import Handling, ObjectSpec
+from hybrid_jax.workcell.geometry import as_row, pose_of
+from hybrid_jax.workcell.layout import home_qpos
+
+_DOWN = Rotation.from_euler("x", np.pi)
+
+
+def require_handling(cell: Workcell) -> Handling:
+    """The cell's data of a handling task.
+
+    Raises:
+        WorkcellError: it has none, or what is done in it is something else.
+    """
+    data, name = cell.source.task, cell.source.name
+    if data is None:
+        raise WorkcellError(
+            f"the cell {name!r} has no task data: write {name}.toml beside its MJCF"
+        )
+    if not isinstance(data, Handling):
+        raise WorkcellError(f"nothing is handled in the cell {name!r}: {name}.toml says otherwise")
+    return data
+
+
+def _grasp_frame(spec: ObjectSpec, grasp: int) -> RigidTransform:
+    """The tool in the frame of an upright object."""
+    return RigidTransform.from_components(np.array(spec.grasps[grasp]), _DOWN)
+
+
+def object_in_tool(spec: ObjectSpec, grasp: int = 0) -> np.ndarray:
+    """`[7]` pose of a grasped object in the tool's frame."""
+    return as_row(_grasp_frame(spec, grasp).inv())
+
+
+def grasp_pose(spec: ObjectSpec, pose: np.ndarray, grasp: int = 0) -> RigidTransform:
+    """Tool pose that grasps an object lying at `pose` `[7]`: from above, along its heading."""
+    return upright(pose[:3], yaw_of(pose)) * _grasp_frame(spec, grasp)
+
+
+def place_pose(source: WorkcellSource, spec: ObjectSpec, grasp: int = 0) -> RigidTransform:
+    """Tool pose that puts an object into its slot of its tray."""
+    task, layout = source.task, source.layout
+    tray = task.tray(spec.tray)
+    body = source.model.body(tray.name)
+    address = layout.object_qpos[layout.object_names.index(spec.name)]
+    height = tray.floor + task.release + home_qpos(source.model)[address + 2]
+    slot = upright([*spec.slot[:2], height], spec.slot[2])
+    return pose_of(body.pos, body.quat) * slot * _grasp_frame(spec, grasp)
+
+
+def _raised(pose: RigidTransform, height: float) -> RigidTransform:
+    return RigidTransform.from_components(pose.translation + [0, 0, height], pose.rotation)
+
+
+def handling_task(
+    cell: Workcell,
+    object_name: str,
+    object_poses: np.ndarray,
+    start: np.ndarray | None = None,
+    grasp: int = 0,
+) -> Task:
+    """The task of sorting one object: start, grasp, lifted, above its slot, placed, home.
+
+    Args:
+        cell: with task data.
+        object_name: what to carry to its tray.
+        object_poses: `[object, 7]` where all objects lie.
+        start: `[joint]` where the arm stands [rad]; at home if None.
+        grasp: which of the object's grasps to use.
+    """
+    data = require_handling(cell)
+    spec = data.object(object_name)
+    index = cell.source.layout.object_names.index(object_name)
+    hold = grasp_pose(spec, object_poses[index], grasp)
+    place = place_pose(cell.source, spec, grasp)
+    poses = as_dual_quats([hold, _raised(hold, data.lift), _raised(place, data.hover), place])
+    start, begin = start_of(cell, start)
+    return Task(
+        object_name,
+        np.asarray(object_poses, np.float32),
+        np.stack([begin, *poses, home_pose(cell)]),
+        (False, True, True, True, False),
+        start,
+        np.asarray(cell.home),
+        support=(data.table, spec.tray),
+        grasp=grasp,
+    )
+
+
+def random_handling_task(cell: Workcell, seed: int) -> Task:
+    """One object of a random scene."""
+    objects = require_handling(cell).objects
+    return handling_task(cell, objects[seed % len(objects)].name, sample_scene(cell, seed))

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: MIT
+"""Inspection tasks: go over the tray, then brush one part from end to end (paper, experiments)."""
+
+import jax
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from hybrid_jax.errors import WorkcellError
+from hybrid_jax.kernels.collision import clearance
+from hybrid_jax.skills.scenes import sample_scene
+from hybrid_jax.skills.task import Task, as_dual_quats, start_of
+from hybrid_jax.types import Workcell
+from hybrid_jax.workcell.description import FaceSpec, Inspection
+from hybrid_jax.workcell.geometry import pose_of
+
+HOME, HOVER, BEGIN, END = range(4)
+"""Key poses: the paper's con_1 to con_4."""
+_DOWN = Rotation.from_euler("x", np.pi)
+_TRIES = 1000
+ROOM = 0.01
+"""Clearance of a random start [m]."""
+
+_clearance = jax.jit(clearance)
+
+
+def require_inspection(cell: Workcell) -> Inspection:
+    """The cell's data of an inspection task; WorkcellError where it has none."""
+    data = cell.source.task
+    if not isinstance(data, Inspection):
+        name = cell.source.name
+        raise WorkcellError(f"nothing is inspected in the cell {name!r}: see {name}.toml")
+    return data
+
+
+def on_face(face: FaceSpec, share: float) -> RigidTransform:
+    """Tool on a face, in the part's frame: square to it, x along the stroke.
+
+    Args:
+        face: that is brushed.
+        share: of the stroke, from 0 to 1.
+    """
+    turn = Rotation.from_euler("x", np.interp(share, [0, 1], face.twist))
+    place = [(share - 0.5) * face.length, 0.0, face.height]
+    return RigidTransform.from_components(place, turn * _DOWN)
+
+
+def brush_errors(face: FaceSpec, part: np.ndarray, tools: np.ndarray) -> tuple[np.ndarray, ...]:
+    """How far a brush is from where it should be on a face.
+
+    Args:
+        face: that is brushed.
+        part: `[7]` pose of the part.
+        tools: `[point, 7]` poses of the tool along the stroke.
+
+    Returns:
+        Angle between the brush and the face's normal `[point]` [rad], and how far its tips stand
+        off the face `[point]` [m].
+    """
+    frame = pose_of(part[:3], part[3:]).inv()
+    angles, gaps = [], []
+    for tool in tools:
+        pose = frame * pose_of(tool[:3], tool[3:])
+        wanted = on_face(face, float(np.clip(pose.translation[0] / face.length + 0.5, 0, 1)))
+        away = wanted.inv() * pose
+        angles.append(np.arccos(np.clip(away.rotation.as_matrix()[2, 2], -1, 1)))
+        gaps.append(-away.translation[2])
+    return np.array(angles), np.array(gaps)
+
+
+def inspection_task(
+    cell: Workcell,
+    part_name: str,
+    object_poses: np.ndarray,
+    start: np.ndarray | None = None,
+    stroke: tuple[float, float] = (0.0, 1.0),
+) -> Task:
+    """The task of brushing one part: start, over the tray, on the part, along it.
+
+    The arm comes to rest over the tray and on the part; it ends on the part.
+
+    Args:
+        cell: with inspection data.
+        part_name: what to brush.
+        object_poses: `[object, 7]` where all parts lie.
+        start: `[joint]` where the arm stands [rad]; at home if None.
+        stroke: shares of the face's length at which the stroke begins and ends.
+    """
+    data, model = require_inspection(cell), cell.model
+    part, tray = data.part(part_name), model.body(data.tray)
+    row = object_poses[cell.source.layout.object_names.index(part_name)]
+    lies = pose_of(row[:3], row[3:])
+    over = pose_of(tray.pos, tray.quat) * RigidTransform.from_components([0, 0, data.hover], _DOWN)
+    ends = [lies * on_face(data.face(part.face), share) for share in stroke]
+    start, begin = start_of(cell, start)
+    return Task(
+        part_name,
+        np.asarray(object_poses, np.float32),
+        np.stack([begin, *as_dual_quats([over, *ends])]),
+        (False, False, False),
+        start,
+        stops=(HOVER, BEGIN),
+        tool_speeds=(np.inf, np.inf, data.brush_speed),
+    )
+
+
+def random_start(cell: Workcell, rng: np.random.Generator) -> np.ndarray:
+    """Free configuration near home `[joint]`.
+
+    Raises:
+        WorkcellError: there is hardly one.
+    """
+    data, home = require_inspection(cell), np.asarray(cell.home)
+    low, high = np.asarray(cell.joint_limits).T
+    for _ in range(_TRIES):
+        q = home + data.start_jitter * rng.uniform(-1, 1, home.size)
+        q = np.clip(q, low, high).astype(np.float32)
+        if _clearance(cell, q) > ROOM:
+            return q
+    raise WorkcellError(
+        f"cell {cell.source.name!r}: {_TRIES} random starts in a row collide; make 'start_jitter' "
+        "smaller"
+    )
+
+
+def random_inspection_task(cell: Workcell, seed: int) -> Task:
+    """One part of a random scene, from a random start, along a random stretch of its face."""
+    rng, parts = np.random.default_rng([seed, 1]), require_inspection(cell).parts
+    stroke = rng.uniform(0.0, 0.35), rng.uniform(0.65, 1.0)
+    name, start = parts[seed % len(parts)].name, random_start(cell, rng)
+    return inspection_task(cell, name, sample_scene(cell, seed), start, stroke)

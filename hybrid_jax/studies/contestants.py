@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: MIT
+"""The methods that studies compare."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import jax
+
+from hybrid_jax.errors import RunFolderError, UnknownNameError
+from hybrid_jax.planner.directly import joint_agent_only
+from hybrid_jax.planner.loading import load_planner
+from hybrid_jax.planner.pipeline import lfd_only, plan_batch
+from hybrid_jax.planner.records import Planner, PlanResult
+from hybrid_jax.runfolder import Run
+from hybrid_jax.simulation.disturbances import CALM, DISTURBED, Disturbance
+from hybrid_jax.skills.task import Task
+from hybrid_jax.studies.rivals import paper_run, whole_space_agent
+
+METHODS = {
+    "hybrid": "skills and joint agent, as the planner is used",
+    "paper": "the same with the paper's agents (preset `paper`)",
+    "lfd": "skills alone",
+    "drl": "a joint agent of the whole work space alone, from key pose to key pose",
+    "ompl": "OMPL's RRT-Connect between the same key poses",
+    "disturbed": "hybrid, with what `simulation.disturbances.DISTURBED` changes",
+}
+"""What can be compared."""
+
+PlanMany = Callable[..., list[PlanResult]]
+
+
+@dataclass(frozen=True)
+class Contestant:
+    """A method with what it plans with."""
+
+    name: str
+    planner: Planner
+    plan: PlanMany
+    disturbance: Disturbance = CALM
+
+
+def one_by_one(plan: Callable[..., PlanResult]) -> PlanMany:
+    """A planner of one task for many."""
+
+    def plan_many(planner: Planner, tasks: Sequence[Task], *, key) -> list[PlanResult]:
+        keys = jax.random.split(key, len(tasks))
+        return [plan(planner, task, key=k) for task, k in zip(tasks, keys, strict=True)]
+
+    return plan_many
+
+
+def contestant(name: str, run: Run, paper: Run | None) -> Contestant | None:
+    """A method of the study; None (and a sentence) where something for it is missing.
+
+    Raises:
+        UnknownNameError: no such method.
+        RunFolderError: the paper's run is of another cell, or a run lacks a stage.
+    """
+    if name not in METHODS:
+        raise UnknownNameError("method", name, METHODS)
+    if name == "paper":
+        return _paper(run, paper)
+    planner = load_planner(run)
+    if name == "ompl":
+        return _ompl(planner)
+    if name == "drl":
+        return Contestant(name, whole_space_agent(run, planner), one_by_one(joint_agent_only))
+    if name == "lfd":
+        return Contestant(name, lfd_only(planner), plan_batch)
+    return Contestant(name, planner, plan_batch, DISTURBED if name == "disturbed" else CALM)
+
+
+def _paper(run: Run, paper: Run | None) -> Contestant:
+    paper = paper or paper_run(run)
+    if paper.cell.source.digest != run.cell.source.digest:
+        raise RunFolderError(
+            f"{paper.folder} was trained for cell {paper.cell.source.name!r}, not for "
+            f"{run.cell.source.name!r} of {run.folder}; give a run of the same cell"
+        )
+    return Contestant("paper", load_planner(paper), plan_batch)
+
+
+def _ompl(planner: Planner) -> Contestant | None:
+    try:
+        from hybrid_jax.planner.ompl_tasks import OmplTasks  # noqa: PLC0415
+    except ImportError as error:
+        print(f"ompl: left out, {error.name} is not installed (pip install 'hybrid_jax[ompl]')")
+        return None
+    tasks = OmplTasks(planner, planner.config.smoothing.margin)  # as much as our own paths keep
+    return Contestant("ompl", planner, one_by_one(lambda _, task, key: tasks.plan(task, key)))

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: MIT
+"""The handling study: every method sorts the objects of the same random scenes, in physics."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import asdict
+
+import numpy as np
+
+from hybrid_jax.progress import Progress
+from hybrid_jax.runfolder import Run
+from hybrid_jax.simulation.runs import SortingReport, planning, sort_scenes
+from hybrid_jax.studies.contestants import Contestant
+from hybrid_jax.studies.handlingpictures import draw_study
+from hybrid_jax.studies.measures import Metrics, rate
+from hybrid_jax.types import Workcell
+
+METHODS = ("hybrid", "lfd", "drl", "ompl", "disturbed", "paper")
+"""Methods that are compared if none is named."""
+
+
+def run_contestant(
+    cell: Workcell, one: Contestant, seeds: Sequence[int], quiet: bool = False
+) -> tuple[list[SortingReport], float]:
+    """All runs of one method, and the time that they took [s], compilation included."""
+    began, progress = time.perf_counter(), Progress(one.name, "runs", quiet)
+
+    def report(ended: int, simulated: float) -> None:
+        progress(ended, len(seeds), f"{simulated:,.0f} s simulated")
+
+    plan = planning(one.planner, one.plan, seeds[0])
+    found = sort_scenes(cell, plan, seeds, disturbance=one.disturbance, progress=report)
+    return found, time.perf_counter() - began
+
+
+def row_of(method: str, report: SortingReport) -> dict:
+    """One run as a row of the study's file."""
+    causes = [r.cause for r in report.reports if not r.success]
+    return {
+        "method": method,
+        "seed": report.seed,
+        "success": report.success,
+        "cause": causes[0] if causes else "" if report.success else "collision",
+        "cycle_s": round(report.seconds, 2),
+        "planning_s": round(sum(r.planning_s for r in report.reports), 3),
+        "touches": [str(touch) for touch in report.touches],
+        "objects": [asdict(r) for r in report.reports],
+    }
+
+
+def summarize(rows: list[dict], seconds: dict[str, float]) -> list[dict]:
+    """Metrics of all methods.
+
+    Args:
+        rows: see `row_of`.
+        seconds: of each method's runs.
+    """
+    metrics = Metrics("handling")
+    for method, took in seconds.items():
+        own = [row for row in rows if row["method"] == method]
+        objects = [item for row in own for item in row["objects"]]
+        won, causes = [row["success"] for row in own], [row["cause"] for row in own]
+        metrics.add(f"{method}_success", *rate(won, causes))
+        metrics.add(f"{method}_object_success", *rate([item["success"] for item in objects]))
+        done = [row["cycle_s"] for row in own if row["success"]]
+        if done:
+            middle = float(np.median(done))
+            metrics.add(f"{method}_cycle_time", middle, "s", "lower", "median of successful runs")
+        plans = sum(max(1, item["tries"]) for item in objects)
+        each, text = sum(row["planning_s"] for row in own) / plans, "mean of a plan, with compiling"
+        metrics.add(f"{method}_planning_time", each, "s", "lower", text)
+        if method == "hybrid":
+            text = f"{len(own)} runs took {took:.0f} s, compilation included"
+            metrics.add("seconds_100", took * 100 / len(own), "s", "lower", text)
+    return metrics.rows
+
+
+def succeeded(report: SortingReport) -> bool:
+    """Is everything where it belongs?"""
+    return report.success
+
+
+def frames_of(report: SortingReport) -> tuple[str, np.ndarray]:
+    """Name of a run, and its motion `[frame, nq]`."""
+    return str(report.seed), report.frames
+
+
+def draw(path, rows: list[dict], run: Run) -> None:
+    """The chart of the study."""
+    del run
+    draw_study(path, rows)
+
+
+def title(report: SortingReport) -> str:
+    """What became of a run, in few words."""
+    return f"{sum(r.success for r in report.reports)} of {len(report.reports)} placed"
+
+
+def lines(report: SortingReport) -> list[str]:
+    """What became of each object."""
+    return [f"{r.name}: {r.cause or 'placed'} {r.detail}".rstrip() for r in report.reports]

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: MIT
+"""The inspection study: every method brushes the same parts, from random starts, in physics."""
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+from hybrid_jax.progress import Progress
+from hybrid_jax.runfolder import Run
+from hybrid_jax.simulation.inspecting import InspectionReport, Trial, inspect_parts
+from hybrid_jax.simulation.runs import planning
+from hybrid_jax.skills.inspection import require_inspection
+from hybrid_jax.studies.contestants import Contestant
+from hybrid_jax.studies.inspectionpictures import draw_study
+from hybrid_jax.studies.measures import Metrics, rate
+from hybrid_jax.types import Workcell
+
+METHODS = ("hybrid", "drl", "lfd")
+"""Methods that are compared if none is named."""
+LEVELS = {
+    "5cm_5deg": (0.05, np.radians(5.0)),
+    "1cm_2deg": (0.01, np.radians(2.0)),
+    "1mm_05deg": (0.001, np.radians(0.5)),
+}
+"""Tolerances of every key pose: position [m], each Euler angle [rad]. The first is the paper's."""
+
+
+def run_contestant(
+    cell: Workcell, one: Contestant, seeds: Sequence[int], quiet: bool = False
+) -> tuple[list[InspectionReport], float]:
+    """A trial of every part for each seed, and the time that they took [s], with compiling."""
+    began, progress = time.perf_counter(), Progress(one.name, "trials", quiet)
+    parts = require_inspection(cell).parts
+    trials = [
+        Trial(part.name, len(parts) * seed + number)
+        for number, part in enumerate(parts)
+        for seed in seeds
+    ]
+
+    def report(ended: int, simulated: float) -> None:
+        progress(ended, len(trials), f"{simulated:,.0f} s simulated")
+
+    plan = planning(one.planner, one.plan, seeds[0])
+    found = inspect_parts(cell, plan, trials, one.disturbance, progress=report)
+    return found, time.perf_counter() - began
+
+
+def row_of(method: str, report: InspectionReport) -> dict:
+    """One trial as a row of the study's file."""
+    angles, gaps = np.degrees(report.brush_angles), 1e3 * report.stand_offs
+    stroke = {
+        "brush_angle_rms_deg": float(np.sqrt(np.mean(angles**2))),
+        "brush_angle_max_deg": float(angles.max()),
+        "stand_off_rms_mm": float(np.sqrt(np.mean(gaps**2))),
+        "stand_off_max_mm": float(np.abs(gaps).max()),
+    } if angles.size else {}  # fmt: skip
+    return {
+        "method": method,
+        "part": report.trial.part,
+        "seed": report.trial.seed,
+        "success": {level: report.succeeded(*limits) for level, limits in LEVELS.items()},
+        "cause": report.cause,
+        "detail": report.detail,
+        "away_mm": [round(1e3 * x, 4) for x in report.away],
+        "turned_deg": [round(float(np.degrees(x)), 4) for x in report.turned],
+        "touches": [str(touch) for touch in report.touches],
+        "cycle_s": round(report.seconds, 2),
+        "planning_s": round(report.planning_s, 4),
+        "shares": report.shares,
+        **stroke,
+    }
+
+
+def summarize(rows: list[dict], seconds: dict[str, float]) -> list[dict]:
+    """Metrics of all methods; those of the hybrid stand without a name.
+
+    Args:
+        rows: see `row_of`.
+        seconds: of each method's trials.
+    """
+    metrics = Metrics("inspection")
+    for method, took in seconds.items():
+        own = [row for row in rows if row["method"] == method]
+        name = "" if method == "hybrid" else f"{method}_"
+        causes = [row["cause"] or "inexact" for row in own]
+        for level in LEVELS:
+            won = [row["success"][level] for row in own]
+            metrics.add(f"{name}success_{level}", *rate(won, causes))
+        _add_strokes(metrics, name, own)
+        touched = sum(bool(row["touches"]) for row in own)
+        metrics.add(f"{name}collisions", touched, "1", "lower", f"of {len(own)} trials")
+        each = sum(row["planning_s"] for row in own) / len(own)
+        metrics.add(f"{name}planning_time", each, "s", "lower", "mean of a plan, with compiling")
+        text = f"{len(own)} trials took {took:.0f} s, compilation included"
+        metrics.add(f"{name}seconds_100", took * 100 / len(own), "s", "lower", text)
+    return metrics.rows
+
+
+def _add_strokes(metrics: Metrics, name: str, own: list[dict]) -> None:
+    done = [row for row in own if "brush_angle_rms_deg" in row]
+    if not done:
+        return
+    for key, unit in (("brush_angle", "deg"), ("stand_off", "mm")):
+        each = np.array([row[f"{key}_rms_{unit}"] for row in done])
+        worst = max(row[f"{key}_max_{unit}"] for row in done)
+        note = f"{len(done)} strokes; worst stroke {each.max():.2f}, worst point {worst:.2f}"
+        metrics.add(f"{name}{key}_rms", float(np.sqrt(np.mean(each**2))), unit, "lower", note)
+    cycle = float(np.median([row["cycle_s"] for row in done]))
+    metrics.add(f"{name}cycle_time", cycle, "s", "lower", "median of trials that were carried out")
+
+
+def succeeded(report: InspectionReport) -> bool:
+    """Was everything met as exactly as the study asks for at most?"""
+    return report.succeeded(*list(LEVELS.values())[-1])
+
+
+def frames_of(report: InspectionReport) -> tuple[str, np.ndarray]:
+    """Name of a trial, and its motion `[frame, nq]`."""
+    return f"{report.trial.part}-{report.trial.seed}", report.frames
+
+
+def draw(path, rows: list[dict], run: Run) -> None:
+    """The charts of the study."""
+    draw_study(path, rows, run)
+
+
+def title(report: InspectionReport) -> str:
+    """What became of a trial, in few words."""
+    return report.cause or "brushed"
+
+
+def lines(report: InspectionReport) -> list[str]:
+    """What became of a trial."""
+    return [f"{report.trial.part}: {report.cause or 'brushed'} {report.detail}".rstrip()]

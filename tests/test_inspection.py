@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: MIT
+"""The inspection cell: its geometry, tasks without a gripper, their plans, and their study."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import mujoco
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import hybrid_jax
+from hybrid_jax.errors import UnknownNameError, WorkcellError
+from hybrid_jax.export import to_joint_trajectory
+from hybrid_jax.planner.lfd import optimal_chooser
+from hybrid_jax.planner.loading import optimal_switcher, read_library
+from hybrid_jax.planner.pipeline import plan_batch
+from hybrid_jax.planner.records import Planner
+from hybrid_jax.presets import DEFAULT
+from hybrid_jax.simulation.disturbances import Disturbance
+from hybrid_jax.simulation.inspecting import InspectionReport, Trial, inspect_parts
+from hybrid_jax.simulation.plant import Touch
+from hybrid_jax.simulation.runs import planning
+from hybrid_jax.skills.handling import require_handling
+from hybrid_jax.skills.inspection import BEGIN, END, HOVER, brush_errors, inspection_task, on_face
+from hybrid_jax.skills.scenes import sample_scene
+from hybrid_jax.skills.tasks import make_task, random_task
+from hybrid_jax.studies import inspection as study
+from hybrid_jax.studies.inspectionpictures import draw_study
+from hybrid_jax.types import Status, Trajectory
+from hybrid_jax.workcell.assets import robots_folder, workcell_names
+from hybrid_jax.workcell.geometry import as_row, pose_of
+from hybrid_jax.workcell.load import load_workcell
+
+
+@pytest.fixture(scope="session")
+def fpi():
+    """The inspection cell."""
+    return load_workcell("fpi")
+
+
+@pytest.fixture(scope="session")
+def inspector(fpi):
+    """Its planner: skills, and RRT-Connect where they cannot be followed."""
+    config = replace(DEFAULT.planner, labels=DEFAULT.planner.quick, quick=None)
+    switch = optimal_switcher(DEFAULT.switch)
+    return Planner(fpi, read_library(), optimal_chooser, None, switch, 0.05, config)
+
+
+@pytest.fixture(scope="session")
+def reports(fpi, inspector):
+    """Two trials, carried out in physics."""
+    trials = [Trial("left_2", 3), Trial("right_4", 8)]
+    return inspect_parts(fpi, planning(inspector, plan_batch, 0), trials)
+
+
+def test_package_names_neither_cell_nor_robot():
+    """Nothing in the package is made for one of them: what differs stands in `robots`."""
+    folders = {path.name for path in robots_folder().iterdir() if path.is_dir()}
+    words = set(workcell_names()) | {"gen3", "2f85", "robotiq", "kinova", "fanuc", "lrmate", "fpi"}
+    words |= folders - {"workcells", "demonstrations", "inspection_brush"}
+    pattern = re.compile("|".join(map(re.escape, words)), re.IGNORECASE)
+    package = Path(hybrid_jax.__file__).parent
+    found = [
+        f"{path.name}:{number}: {line.strip()}"
+        for path in package.rglob("*.py")
+        for number, line in enumerate(path.read_text().splitlines(), 1)
+        if pattern.search(line)
+    ]
+    assert found == []
+
+
+@pytest.mark.slow
+def test_the_second_robots_links_are_covered(shared, tmp_path):
+    import json
+    import subprocess
+    import sys
+
+    mapping = shared / "robots" / "examples" / "fanuc_lrmate200id_map.json"
+    checker = shared / "robots" / "check_collision_model.py"
+    name = "fanuc_lrmate200id_brush"
+    xml, out = robots_folder() / name / f"{name}.xml", tmp_path / "out.json"
+    done = subprocess.run(
+        [sys.executable, str(checker), str(xml), "fanuc_lrmate200id", str(mapping),
+         "--samples", "5000", "--json", str(out)],
+        capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout[-1500:] + done.stderr[-500:]
+    assert "coverage" in json.dumps(json.loads(out.read_text())).lower()
+
+
+def test_home_is_free_and_nothing_can_be_held(fpi):
+    assert hybrid_jax.clearance(fpi, fpi.home) > 0.02
+    assert fpi.scene.payload.count == 0 and fpi.home.shape == (6,)
+    assert len(fpi.source.task.parts) == 10
+    with pytest.raises(WorkcellError, match="nothing is handled"):
+        require_handling(fpi)
+
+
+def test_faces_are_where_the_engine_sees_the_blades(fpi):
+    """Rays of C MuJoCo from above hit every blade where its face is said to be, within 1 mm."""
+    data, poses = mujoco.MjData(fpi.model), sample_scene(fpi, 5)
+    for address, pose in zip(fpi.source.layout.object_qpos, poses, strict=True):
+        data.qpos[address : address + 7] = pose
+    mujoco.mj_forward(fpi.model, data)
+    task, geom = fpi.source.task, np.zeros(1, np.int32)
+    for part, pose in zip(task.parts, poses, strict=True):
+        body, face = fpi.model.body(part.name).id, task.face(part.face)
+        for share in np.linspace(0, 1, 7):
+            tool = pose_of(pose[:3], pose[3:]) * on_face(face, share)
+            ray = tool.rotation.apply([0.0, 0.0, 1.0])
+            away = mujoco.mj_ray(
+                fpi.model, data, tool.translation - 0.05 * ray, ray, None, 1, -1, geom
+            )
+            assert fpi.model.geom_bodyid[geom[0]] == body
+            assert away == pytest.approx(0.05, abs=1e-3)
+
+
+def test_brush_errors_are_what_was_added_to_a_perfect_stroke(fpi):
+    face = fpi.source.task.faces[0]
+    part = np.array([0.4, 0.1, 0.02, *Rotation.from_euler("z", 0.4).as_quat(scalar_first=True)])
+    lies = pose_of(part[:3], part[3:])
+    tools = [lies * on_face(face, share) for share in np.linspace(0, 1, 9)]
+    angles, gaps = brush_errors(face, part, np.stack([as_row(tool) for tool in tools]))
+    np.testing.assert_allclose([angles, gaps], 0.0, atol=1e-6)
+    # about its own axis a brush may turn; tilted by 0.1 rad and 3 mm off the face it is wrong
+    spun = [tool * pose_of([0, 0, 0], [np.cos(0.3), 0, 0, np.sin(0.3)]) for tool in tools]
+    np.testing.assert_allclose(
+        brush_errors(face, part, np.stack([as_row(tool) for tool in spun]))[0], 0.0, atol=1e-6
+    )
+    off = [tool * pose_of([0, 0, -0.003], [np.cos(0.05), np.sin(0.05), 0, 0]) for tool in tools]
+    angles, gaps = brush_errors(face, part, np.stack([as_row(tool) for tool in off]))
+    np.testing.assert_allclose(angles, 0.1, atol=1e-6)
+    np.testing.assert_allclose(gaps, 0.003, atol=1e-6)
+
+
+def test_tasks_rest_over_the_tray_and_on_the_part(fpi):
+    poses = sample_scene(fpi, 1)
+    task = inspection_task(fpi, "right_1", poses)
+    assert task.phases == [(0, HOVER), (HOVER, BEGIN), (BEGIN, END)] and task.end is None
+    assert task.tool_speed(0) == np.inf and task.tool_speed(2) == fpi.source.task.brush_speed
+    np.testing.assert_array_equal(make_task(fpi, "right_1", poses).key_poses, task.key_poses)
+    one, other = random_task(fpi, 7), random_task(fpi, 8)
+    assert one.object_name != other.object_name and np.abs(one.start - fpi.home).max() > 0.01
+    with pytest.raises(UnknownNameError, match="left_0"):
+        inspection_task(fpi, "left_9", poses)
+
+
+def test_trials_are_carried_out_exactly_and_without_a_touch(fpi, reports):
+    for report in reports:
+        assert report.succeeded(0.001, np.radians(0.5)), (report.cause, report.detail, report.away)
+        assert not report.touches and len(report.away) == 3
+        assert np.degrees(np.sqrt(np.mean(report.brush_angles**2))) < 2.0
+        assert np.abs(report.stand_offs).max() < 0.01
+
+
+def test_the_brush_keeps_to_its_speed(fpi, inspector):
+    """Judged by C MuJoCo's kinematics and differences of the timed points."""
+    task = inspection_task(fpi, "left_2", sample_scene(fpi, 3))
+    plan = inspector and plan_batch(inspector, [task], key=jax.random.key(0))[0]
+    assert plan.status is Status.OK, plan.detail
+    data, site, stroke = mujoco.MjData(fpi.model), fpi.source.layout.tool_site, plan.phases[END - 1]
+    tool = []
+    for q in stroke.positions:
+        data.qpos[:6] = q
+        mujoco.mj_kinematics(fpi.model, data)
+        tool.append(data.site_xpos[site].copy())
+    speed = np.linalg.norm(np.diff(tool, axis=0), axis=1) / np.diff(stroke.times)
+    assert 0.09 < speed.max() <= 0.1005
+    out = to_joint_trajectory(fpi, task, plan)
+    times = np.array([point["time_from_start"] for point in out["points"]])
+    assert out["gripper"] == [] and (np.diff(times) > 0).all()
+    assert out["parts"][-1]["last"] == len(times) - 1
+
+
+def test_a_brush_that_is_pressed_into_the_part_is_a_collision(fpi, reports):
+    """The planner's motion, lowered by turning the shoulder, must be told by the sensors."""
+    from hybrid_jax.planner.records import PlanResult
+    from hybrid_jax.skills.inspection import random_start
+
+    trial = Trial("left_2", 3)
+    start = random_start(fpi, np.random.default_rng([trial.seed, 2]))
+
+    def plan(tasks):
+        path = np.linspace(start, start + [0.9, 0.9, 0, 0, 0, 0], 50)
+        times = np.linspace(0, 2, 50)
+        rest = np.zeros_like(path)
+        phase = Trajectory(times, path, np.gradient(path, times, axis=0), rest, np.zeros(50, int))
+        return [PlanResult(Status.OK, "", [phase] * 3) for _ in tasks]
+
+    report = inspect_parts(fpi, plan, [trial])[0]
+    assert report.touches and report.cause == "collision"
+    assert not report.succeeded(10.0, 10.0)
+
+
+def test_measured_poses_show_in_the_errors(fpi, inspector):
+    """A part that lies 5 mm aside of where it was seen is brushed 5 mm aside."""
+    plan = planning(inspector, plan_batch, 0)
+    off = inspect_parts(fpi, plan, [Trial("left_2", 3)], Disturbance(position=0.005))[0]
+    assert off.cause == "" and 0.0015 < max(off.away[1:]) < 0.03
+    assert off.succeeded(0.05, np.radians(5)) and not off.succeeded(0.001, np.radians(0.5))
+
+
+def test_the_study_adds_up(tmp_path):
+    def report(seed, away, cause="", touches=()):
+        return InspectionReport(
+            Trial(f"p{seed % 2}", seed), cause, "", [0.0, away, 0.0], [0.0] * 3,
+            np.full(10, np.radians(1.0)), np.full(10, 1e-3), list(touches), seconds=5.0,
+        )  # fmt: skip
+
+    touch = Touch(1.0, "arm", "tray")
+    some = [report(0, 0.0005), report(1, 0.005), report(2, 0.02),
+            report(3, 0.0, "collision", [touch]), InspectionReport(Trial("p0", 4))]  # fmt: skip
+    rows = [study.row_of("hybrid", one) for one in some]
+    found = {m["key"]: m for m in study.summarize(rows, {"hybrid": 10.0})}
+    assert found["inspection.success_5cm_5deg"]["value"] == 3 / 5
+    assert found["inspection.success_1cm_2deg"]["value"] == 2 / 5
+    assert found["inspection.success_1mm_05deg"]["value"] == 1 / 5
+    assert "no plan 1" in found["inspection.success_5cm_5deg"]["note"]
+    assert found["inspection.collisions"]["value"] == 1
+    assert found["inspection.brush_angle_rms"]["value"] == pytest.approx(1.0)
+    assert found["inspection.stand_off_rms"]["value"] == pytest.approx(1.0)
+
+    class Blank:
+        def metrics(self, stage):
+            return [{"step": 1, "cost_over_optimum": 1.0, "success": 0.5, "episodes": 3.0}]
+
+    draw_study(tmp_path / "study.png", rows, Blank())
+    assert (tmp_path / "study.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "kind", "message"),
+    [
+        ('kind = "inspection"', 'kind = "painting"', UnknownNameError, "handling, inspection"),
+        ('face = "left_hand"', 'face = "flat"', UnknownNameError, "left_hand"),
+        ("brush_speed = 0.10\n", "", WorkcellError, "brush_speed"),
+        ('tray = "tray"', 'tray = "box"', UnknownNameError, "tray"),
+    ],
+)
+def test_mistakes_in_the_task_data_are_named(fpi, tmp_path, old, new, kind, message):
+    text = fpi.source.path.with_suffix(".toml").read_text()
+    assert old in text
+    robots = str(fpi.source.path.parent.parent)
+    model = fpi.source.path.read_text().replace('file="../', f'file="{robots}/')
+    (tmp_path / "cell.xml").write_text(model)
+    (tmp_path / "cell.toml").write_text(text.replace(old, new))
+    with pytest.raises(kind, match=message):
+        load_workcell(tmp_path / "cell.xml")
