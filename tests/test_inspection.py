@@ -24,7 +24,7 @@ from hybrid_jax.simulation.inspecting import InspectionReport, Trial, inspect_pa
 from hybrid_jax.simulation.plant import Touch
 from hybrid_jax.simulation.runs import planning
 from hybrid_jax.skills.handling import require_handling
-from hybrid_jax.skills.inspection import BEGIN, END, HOVER, brush_errors, inspection_task, on_face
+from hybrid_jax.skills.inspection import brush_errors, inspection_task, on_face
 from hybrid_jax.skills.scenes import sample_scene
 from hybrid_jax.skills.tasks import make_task, random_task
 from hybrid_jax.studies import inspection as study
@@ -139,8 +139,12 @@ def test_brush_errors_are_what_was_added_to_a_perfect_stroke(fpi):
 def test_tasks_rest_over_the_tray_and_on_the_part(fpi):
     poses = sample_scene(fpi, 1)
     task = inspection_task(fpi, "right_1", poses)
-    assert task.phases == [(0, HOVER), (HOVER, BEGIN), (BEGIN, END)] and task.end is None
+    assert task.phases == [(0, 1), (1, 2), (2, 5)] and task.end is None and not task.transit
     assert task.tool_speed(0) == np.inf and task.tool_speed(2) == fpi.source.task.brush_speed
+    elsewhere = inspection_task(fpi, "right_1", poses, np.asarray(fpi.home) + 0.1)
+    assert elsewhere.transit and elsewhere.phases == [(0, 1), (1, 2), (2, 3), (3, 6)]
+    np.testing.assert_array_equal(elsewhere.key_poses[1:], task.key_poses)
+    np.testing.assert_array_equal(elsewhere.shown[0], task.key_poses)
     np.testing.assert_array_equal(make_task(fpi, "right_1", poses).key_poses, task.key_poses)
     one, other = random_task(fpi, 7), random_task(fpi, 8)
     assert one.object_name != other.object_name and np.abs(one.start - fpi.home).max() > 0.01
@@ -151,7 +155,7 @@ def test_tasks_rest_over_the_tray_and_on_the_part(fpi):
 def test_trials_are_carried_out_exactly_and_without_a_touch(fpi, reports):
     for report in reports:
         assert report.succeeded(0.001, np.radians(0.5)), (report.cause, report.detail, report.away)
-        assert not report.touches and len(report.away) == 3
+        assert not report.touches and len(report.away) == 4
         assert np.degrees(np.sqrt(np.mean(report.brush_angles**2))) < 2.0
         assert np.abs(report.stand_offs).max() < 0.01
 
@@ -161,7 +165,7 @@ def test_the_brush_keeps_to_its_speed(fpi, inspector):
     task = inspection_task(fpi, "left_2", sample_scene(fpi, 3))
     plan = inspector and plan_batch(inspector, [task], key=jax.random.key(0))[0]
     assert plan.status is Status.OK, plan.detail
-    data, site, stroke = mujoco.MjData(fpi.model), fpi.source.layout.tool_site, plan.phases[END - 1]
+    data, site, stroke = mujoco.MjData(fpi.model), fpi.source.layout.tool_site, plan.phases[-1]
     tool = []
     for q in stroke.positions:
         data.qpos[:6] = q
@@ -188,7 +192,7 @@ def test_a_brush_that_is_pressed_into_the_part_is_a_collision(fpi, reports):
         times = np.linspace(0, 2, 50)
         rest = np.zeros_like(path)
         phase = Trajectory(times, path, np.gradient(path, times, axis=0), rest, np.zeros(50, int))
-        return [PlanResult(Status.OK, "", [phase] * 3) for _ in tasks]
+        return [PlanResult(Status.OK, "", [phase] * 4) for _ in tasks]
 
     report = inspect_parts(fpi, plan, [trial])[0]
     assert report.touches and report.cause == "collision"

@@ -44,7 +44,8 @@ class SkillPath:
     """What RL-LfD makes of a task."""
 
     plan: Plan
-    """Segments and skills; empty where a demonstration is missing."""
+    """Segments and skills, numbered from the first key pose that skills cover (see `Task.shown`);
+    empty where a demonstration is missing."""
     missing: list[MissingSkill]
     """Demonstrations to give, where the plan is empty."""
     poses: np.ndarray
@@ -99,18 +100,30 @@ def skill_paths(
     chosen = [_plans(one, choose, plans) for one in costs]
     pieces = [
         [piece for a, b, k in sorted(plan)
-         for piece in cut_segment(library, task.key_poses, a, b, k, config)]
+         for piece in cut_segment(library, task.shown[0], a, b, k, config)]
         for task, some in zip(tasks, chosen, strict=True) for plan in some
     ]  # fmt: skip
     poses = map_pieces(library, list(itertools.chain(*pieces)), config, POINTS)
     each = iter(np.split(poses, np.cumsum([len(p) for p in pieces])[:-1]))
     found = []
-    for one, some in zip(costs, chosen, strict=True):
+    for task, one, some in zip(tasks, costs, chosen, strict=True):
         missing = [] if some[0] else missing_skills(
-            one.cost, one.nearest, int(one.count), library.names, config.tolerance
+            one.cost, one.nearest, int(one.count), library.names, config.tolerance,
+            first=int(task.transit),
         )  # fmt: skip
-        found.append([SkillPath(plan, missing, next(each)) for plan in some])
+        found.append([SkillPath(plan, missing, _with_transit(task, next(each))) for plan in some])
     return found
+
+
+def _with_transit(task: Task, poses: np.ndarray) -> np.ndarray:
+    """The skills' poses `[segment, POINTS, 8]`, before them those of a transit where there is one.
+
+    In a transit the tool stands where it is, and then at key pose 1: a gap for the joint agent.
+    """
+    if not (task.transit and len(poses)):
+        return poses
+    still = np.concatenate([task.key_poses[:1].repeat(POINTS - 1, 0), task.key_poses[1:2]])
+    return np.concatenate([still[None], poses])
 
 
 def _plans(costs: SegmentCosts, choose: SkillChooser, count: int) -> list[Plan]:

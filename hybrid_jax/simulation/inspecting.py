@@ -15,7 +15,6 @@ from hybrid_jax.simulation.execution import ExecutionConfig, targets
 from hybrid_jax.simulation.plant import BlownUp, Plan, Plant, Steps, Touch, ticks
 from hybrid_jax.simulation.sensing import SensedCell, sense_cell
 from hybrid_jax.skills.inspection import (
-    END,
     brush_errors,
     inspection_task,
     random_start,
@@ -50,7 +49,7 @@ class InspectionReport:
     detail: str = ""
     """The sentence to it."""
     away: list[float] = field(default_factory=list)
-    """How far the tool was from each key pose after the first, at rest [m]."""
+    """How far the tool was from each key pose at which the arm came to rest [m]."""
     turned: list[float] = field(default_factory=list)
     """Largest Euler angle between the two [rad]."""
     brush_angles: np.ndarray = field(default_factory=lambda: np.zeros(0))
@@ -119,13 +118,13 @@ class Inspecting:
             report.detail = f"{result.status.name}: {result.detail}"
             return
         report.shares = {s.name: round(result.shares[s], 3) for s in Source}
+        tools = np.zeros((0, 7))
         for (_, high), trajectory in zip(task.phases, result.phases, strict=True):
             # the parts may lie elsewhere than was seen, or have been moved
-            wanted = inspection_task(cell, self.trial.part, plant.objects()).key_poses[high]
+            truth = inspection_task(cell, self.trial.part, plant.objects(), task.start)
             tools = yield from self._follow(trajectory)
-            self._compare(wanted, tools[-1])
-            if high == END:
-                self._judge_stroke(tools)
+            self._compare(truth.key_poses[high], tools[-1])
+        self._judge_stroke(tools)
         report.cause = ""
 
     def _follow(self, trajectory: Trajectory) -> Steps:

@@ -38,13 +38,13 @@ class SegmentCosts:
 
 
 def pad_task(task: Task) -> tuple[np.ndarray, np.ndarray, int]:
-    """Key poses, carrying flags and count, padded to `MAX_KEY_POSES`."""
-    count = len(task.key_poses)
+    """Key poses that skills must cover, carrying flags and count, padded to `MAX_KEY_POSES`."""
+    (shown, held), count = task.shown, len(task.shown[0])
     if not 2 <= count <= MAX_KEY_POSES:
         raise ValueError(f"a task has 2 to {MAX_KEY_POSES} key poses, got {count}")
-    poses = np.concatenate([task.key_poses, task.key_poses[-1:].repeat(MAX_KEY_POSES - count, 0)])
+    poses = np.concatenate([shown, shown[-1:].repeat(MAX_KEY_POSES - count, 0)])
     carrying = np.zeros(MAX_KEY_POSES, bool)
-    carrying[: count - 1] = task.carrying
+    carrying[: count - 1] = held
     return poses.astype(np.float32), carrying, count
 
 

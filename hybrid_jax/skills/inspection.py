@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Inspection tasks: go over the tray, then brush one part from end to end (paper, experiments)."""
+"""Inspection tasks: go over a tray, then brush one part from end to end (paper, experiments)."""
 
 import jax
 import numpy as np
@@ -8,15 +8,15 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from hybrid_jax.errors import WorkcellError
 from hybrid_jax.kernels.collision import clearance
 from hybrid_jax.skills.scenes import sample_scene
-from hybrid_jax.skills.task import Task, as_dual_quats, start_of
+from hybrid_jax.skills.task import Task, as_dual_quats, home_pose, start_of
 from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.description import FaceSpec, Inspection
 from hybrid_jax.workcell.geometry import pose_of
 
-HOME, HOVER, BEGIN, END = range(4)
-"""Key poses: the paper's con_1 to con_4."""
 _DOWN = Rotation.from_euler("x", np.pi)
 _TRIES = 1000
+AT_HOME = 1e-3
+"""An arm this near to home is there [rad]."""
 ROOM = 0.01
 """Clearance of a random start [m]."""
 
@@ -74,9 +74,9 @@ def inspection_task(
     start: np.ndarray | None = None,
     stroke: tuple[float, float] = (0.0, 1.0),
 ) -> Task:
-    """The task of brushing one part: start, over the tray, on the part, along it.
+    """The task of brushing one part: home, over the tray, on the part, along it (con_1 to con_4).
 
-    The arm comes to rest over the tray and on the part; it ends on the part.
+    The arm comes to rest at each of them and ends on the part. From elsewhere it goes home first.
 
     Args:
         cell: with inspection data.
@@ -88,18 +88,23 @@ def inspection_task(
     data, model = require_inspection(cell), cell.model
     part, tray = data.part(part_name), model.body(data.tray)
     row = object_poses[cell.source.layout.object_names.index(part_name)]
-    lies = pose_of(row[:3], row[3:])
+    lies, face = pose_of(row[:3], row[3:]), data.face(part.face)
     over = pose_of(tray.pos, tray.quat) * RigidTransform.from_components([0, 0, data.hover], _DOWN)
-    ends = [lies * on_face(data.face(part.face), share) for share in stroke]
+    along = [lies * on_face(face, share) for share in np.linspace(*stroke, data.guides + 2)]
     start, begin = start_of(cell, start)
+    away = start.shape != cell.home.shape or bool(np.abs(start - cell.home).max() > AT_HOME)
+    poses = [*as_dual_quats([over, *along])]
+    poses = [begin, home_pose(cell), *poses] if away else [begin, *poses]
+    speeds = [np.inf] * (len(poses) - data.guides - 2) + [data.brush_speed] * (data.guides + 1)
     return Task(
         part_name,
         np.asarray(object_poses, np.float32),
-        np.stack([begin, *as_dual_quats([over, *ends])]),
-        (False, False, False),
+        np.stack(poses),
+        (False,) * len(speeds),
         start,
-        stops=(HOVER, BEGIN),
-        tool_speeds=(np.inf, np.inf, data.brush_speed),
+        stops=tuple(range(1, len(poses) - data.guides - 1)),
+        transit=away,
+        tool_speeds=tuple(speeds),
     )
 
 

@@ -75,9 +75,22 @@ def optimal_costs(tasks: SegmentCosts) -> np.ndarray:
 
 
 def missing_skills(
-    cost: np.ndarray, nearest: np.ndarray, count: int, names: tuple[str, ...], tolerance: float
+    cost: np.ndarray,
+    nearest: np.ndarray,
+    count: int,
+    names: tuple[str, ...],
+    tolerance: float,
+    first: int = 0,
 ) -> list[MissingSkill]:
-    """Unit segments that no admissible skill covers, alone or as part of a longer segment."""
+    """Unit segments that no admissible skill covers, alone or as part of a longer segment.
+
+    Args:
+        cost, nearest: see `SegmentCosts`.
+        count: key poses.
+        names: of the skills.
+        tolerance: beyond which none is admissible [m].
+        first: number of the first key pose.
+    """
     forward = [np.isfinite(optimal_plan(cost, b + 1)[1]) for b in range(count)]
     forward[0] = True
     backward = [np.isfinite(optimal_plan(cost[a:, a:], count - a)[1]) for a in range(count)]
@@ -94,5 +107,5 @@ def missing_skills(
         k = int(np.argmin(nearest[a, a + 1]))
         distance = float(nearest[a, a + 1, k])
         name = names[k] if np.isfinite(distance) and k < len(names) else "none"
-        out.append(MissingSkill(a, a + 1, name, distance, tolerance))
+        out.append(MissingSkill(first + a, first + a + 1, name, distance, tolerance))
     return out

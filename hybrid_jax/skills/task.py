@@ -32,6 +32,9 @@ class Task:
     stops: tuple[int, ...] = ()
     """Inner key poses at which the arm comes to rest though the gripper does not move: only there
     they are met exactly."""
+    transit: bool = False
+    """Does the first segment only lead from wherever the arm stands to key pose 1? No demonstration
+    is asked for it: the joint agent moves freely."""
     tool_speeds: tuple[float, ...] = ()
     """`[K - 1]` most that the tool may move on each segment [m/s]; empty for no limit."""
     support: tuple[str, ...] = ()
@@ -46,6 +49,12 @@ class Task:
         cuts = {i for i in range(1, last) if held[i] != held[i - 1]} | {0, last, *self.stops}
         cuts = sorted(cuts)
         return list(zip(cuts[:-1], cuts[1:], strict=True))
+
+    @property
+    def shown(self) -> tuple[np.ndarray, tuple[bool, ...]]:
+        """Key poses and carrying flags of what skills must cover: all but a transit."""
+        first = int(self.transit)
+        return self.key_poses[first:], self.carrying[first:]
 
     def tool_speed(self, phase: int) -> float:
         """Most that the tool may move in a phase [m/s]."""

@@ -126,7 +126,7 @@ class PartSpec:
 
 @dataclass(frozen=True)
 class Inspection:
-    """An inspection task: go over the tray, then brush one of the parts in it from end to end."""
+    """An inspection task: go home, over the tray, then brush one of the parts from end to end."""
 
     tool_site: str
     """Tips of the brush; it points along z, and is moved along x."""
@@ -136,8 +136,10 @@ class Inspection:
     """Height above the tray's origin at which the arm comes to rest before it brushes [m]."""
     brush_speed: float
     """Most that the brush may move on a part [m/s]."""
+    guides: int
+    """Key poses between the ends of a stroke, which the brush passes."""
     start_jitter: float
-    """Tasks begin within so much of home in every joint [rad]."""
+    """Random tasks begin within so much of home in every joint [rad]."""
     faces: tuple[FaceSpec, ...]
     parts: tuple[PartSpec, ...]
 

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: MIT
+"""Say what is wrong with a cell: `python -m hybrid_jax.check CELL [--tasks 10]`."""
+
+from collections import Counter
+from pathlib import Path
+
+import tyro
+
+from hybrid_jax.train import run_cli
+
+
+def main(cell: tyro.conf.Positional[str], tasks: int = 0, skills: Path | None = None) -> int:
+    """Look a cell over; ends with exit code 1 if something is wrong.
+
+    Args:
+        cell: name of a shipped cell, or an MJCF, URDF or MJB file.
+        tasks: random tasks of the cell to plan as well, without any training (minutes: the
+            planner is compiled first).
+        skills: folder of demonstrations to plan with; the shipped ones if not given.
+    """
+    from hybrid_jax.workcell.assets import find_workcell  # noqa: PLC0415
+    from hybrid_jax.workcell.diagnosis import WRONG, diagnose  # noqa: PLC0415
+
+    path = find_workcell(cell)
+    found = diagnose(path)
+    for finding in found:
+        print(f"{finding.level:9s} {finding.text}")
+    if any(finding.level == WRONG for finding in found):
+        return 1
+    print(describe(path))
+    return plan_tasks(path, tasks, skills) if tasks else 0
+
+
+def describe(path: Path) -> str:
+    """What the package sees in a cell, in one line."""
+    from hybrid_jax.kernels.collision import clearance  # noqa: PLC0415
+    from hybrid_jax.workcell.load import load_workcell  # noqa: PLC0415
+
+    cell = load_workcell(path)
+    gap = float(clearance(cell, cell.home))
+    return (
+        f"fit to plan in: {len(cell.joint_names)} joints, tool {_tool(cell)!r}, "
+        f"{cell.robot.shapes.count} primitives of the robot, {cell.fixtures.count} of fixtures, "
+        f"{cell.objects.count} of its {len(cell.source.layout.object_names)} objects; clearance at "
+        f"home {1e3 * gap:.0f} mm"
+    )
+
+
+def _tool(cell) -> str:
+    return cell.model.site(cell.source.layout.tool_site).name
+
+
+def plan_tasks(path: Path, count: int, skills: Path | None) -> int:
+    """Plan random tasks with skills and RRT-Connect; 1 if one finds no plan."""
+    from dataclasses import replace  # noqa: PLC0415
+
+    import jax  # noqa: PLC0415
+
+    from hybrid_jax.compilecache import enable_compile_cache  # noqa: PLC0415
+    from hybrid_jax.planner.lfd import optimal_chooser  # noqa: PLC0415
+    from hybrid_jax.planner.loading import optimal_switcher, read_library  # noqa: PLC0415
+    from hybrid_jax.planner.pipeline import plan_batch  # noqa: PLC0415
+    from hybrid_jax.planner.records import Planner  # noqa: PLC0415
+    from hybrid_jax.presets import DEFAULT  # noqa: PLC0415
+    from hybrid_jax.skills.tasks import random_task  # noqa: PLC0415
+    from hybrid_jax.types import Status  # noqa: PLC0415
+    from hybrid_jax.workcell.load import load_workcell  # noqa: PLC0415
+
+    enable_compile_cache()
+    cell = load_workcell(path)
+    # without a map nobody knows what manipulability is usual here
+    labels = replace(DEFAULT.planner.labels, least_manipulability=0.0)
+    config = replace(DEFAULT.planner, labels=labels, quick=None)
+    switch = optimal_switcher(DEFAULT.switch)
+    planner = Planner(cell, read_library(skills), optimal_chooser, None, switch, 1.0, config)
+    some = [random_task(cell, seed) for seed in range(count)]
+    results = plan_batch(planner, some, key=jax.random.key(0))
+    failed = [(task, r) for task, r in zip(some, results, strict=True) if r.status != Status.OK]
+    for task, result in failed:
+        print(f"doubtful  task of {task.object_name!r}: {result.status.name}: {result.detail}")
+    causes = Counter(result.status.name for _, result in failed)
+    found = f"{count - len(failed)} of {count} random tasks have a plan"
+    print(found + "".join(f"; {cause} {times}" for cause, times in causes.most_common()))
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    run_cli(main)
