@@ -64,7 +64,7 @@ def test_nothing_is_found_in_the_shipped_cells(name):
          '<geom name="hand" type="ellipsoid" size=".02 .02 .03"/>', WRONG, ("hand", "ellipsoid")),
         ('<keyframe><key name="home" qpos="0.2 0.4"/></keyframe>', "", DOUBTFUL,
          ("no keyframe 'home'",)),
-        ('type="sphere" size=".02"', 'type="sphere" size=".28"', WRONG,
+        ('size=".05 .05 .02"', 'size=".05 .05 .12"', WRONG,
          ("overlap in every configuration", "<exclude body1=")),
     ],
 )  # fmt: skip

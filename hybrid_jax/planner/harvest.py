@@ -12,8 +12,8 @@ import numpy as np
 
 from hybrid_jax.agents.segments import Segments
 from hybrid_jax.planner.labelling import LabelConfig
-from hybrid_jax.planner.lfd import SkillChooser, skill_path
-from hybrid_jax.planner.routing import Leg, Routes, label_paths
+from hybrid_jax.planner.lfd import SkillChooser, skill_paths
+from hybrid_jax.planner.routing import TOGETHER, Leg, Routes, label_paths
 from hybrid_jax.planner.scenes import task_scenes
 from hybrid_jax.skills.library import SkillConfig, SkillLibrary
 from hybrid_jax.skills.task import Task
@@ -65,13 +65,15 @@ def harvest(
         ValueError: no task left an infeasible segment: there is nothing to train on.
     """
     found: list[Segments] = []
-    for done, number in enumerate(tasks, 1):
-        key = jax.random.fold_in(jax.random.key(seed), number)
+    for part, first in enumerate(range(0, len(tasks), TOGETHER)):
+        some = tasks[first : first + TOGETHER]
+        key = jax.random.fold_in(jax.random.key(seed), part)
         found += task_gaps(
-            cell, library, random_task(cell, number), choose, skills, labels, scale, key
-        )
+            cell, library, [random_task(cell, number) for number in some], choose, skills, labels,
+            scale, key,
+        )  # fmt: skip
         if progress:
-            progress(done, len(tasks))
+            progress(first + len(some), len(tasks))
     if not found:
         raise ValueError("no random task left an infeasible segment; the skills alone suffice")
     return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *found)
@@ -80,17 +82,25 @@ def harvest(
 def task_gaps(
     cell: Workcell,
     library: SkillLibrary,
-    task: Task,
+    tasks: list[Task],
     choose: SkillChooser,
     skills: SkillConfig,
     labels: LabelConfig,
     scale: float,
     key,
 ) -> list[Segments]:
-    """Infeasible segments of one task."""
-    path = skill_path(library, task, choose, skills)
-    if not path.plan:
-        return []
-    scenes = task_scenes(cell, task)
-    routes = label_paths(cell, [task], [scenes], [path.poses], scale, key, labels)[0]
-    return gaps_of(routes, scenes)
+    """Infeasible segments of tasks; those without skills leave none."""
+    paths = [paths[0] for paths in skill_paths(library, tasks, choose, skills)]
+    covered = [(task, path) for task, path in zip(tasks, paths, strict=True) if path.plan]
+    kinds = [(len(path.poses), task.end is None) for task, path in covered]
+    found = []
+    for number, kind in enumerate(sorted(set(kinds))):
+        rows = [row for row, other in zip(covered, kinds, strict=True) if other == kind]
+        scenes = [task_scenes(cell, task) for task, _ in rows]
+        routes = label_paths(
+            cell, [task for task, _ in rows], scenes, [path.poses for _, path in rows], scale,
+            jax.random.fold_in(key, number), labels,
+        )  # fmt: skip
+        for one, scene in zip(routes, scenes, strict=True):
+            found += gaps_of(one, scene)
+    return found

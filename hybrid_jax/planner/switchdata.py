@@ -2,6 +2,7 @@
 """What the switching agent trains on: both motions of the phases of random tasks."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import jax
 from jax import Array
@@ -22,7 +23,9 @@ def combined_phases(planner: Planner, tasks: Sequence[Task], key: Array) -> list
     Phases with a gap that the joint agent does not bridge are left out; without a joint agent,
     the skill's own motion stands in for both.
     """
-    key_label, key_bridge = jax.random.split(key)
+    config, key_label, key_bridge = planner.config, *jax.random.split(key)
+    # a quick look is what most plans rest on
+    planner = replace(planner, config=replace(config, labels=config.quick or config.labels))
     engine = Engine(planner.cell, planner.config.check)
     _, jobs = prepare(planner, engine, tasks, key_label)
     for job in jobs.values():
