@@ -155,57 +155,79 @@ def label(
     if end is not None:
         found = jnp.concatenate([found, jnp.broadcast_to(end, (1, *wide))])
         fine, fixed = jnp.concatenate([fine, only[None]]), fixed.at[-1].set(True)
-    parts = (scenes, beyond, poses, found, fine, fixed)
-    steps = _forwards(cell, (start, only), parts, scale, config)
-    q, usable, kept, ahead, ahead_ok = steps
-
-    def retreat(scene, path, q):
-        inside = cell.replace(scene=scene)
-        return jax.vmap(lambda one: follow(inside, path[::-1], one, scale, config))(q)
-
-    back, back_ok = jax.vmap(retreat)(scenes, poses, q)
+    segments = _Segment(scenes, beyond, poses, found, fine, fixed)
+    q, usable, kept, paths, ok = _follow_all(cell, segments, (start, only), scale, config)
     q, usable = (jnp.concatenate([a[None], b]) for a, b in ((start, q), (only, usable)))
+    (ahead, back), (ahead_ok, back_ok) = paths, ok
     return Labels(
         q, usable, reached, kept, ahead, ahead_ok, back[:, :, ::-1], back_ok[:, :, ::-1]
     )
+
+
+@pytree
+class _Segment:
+    """A unit segment as it is followed; all of them with a leading axis."""
+
+    scene: Scene
+    beyond: Scene
+    """Scene of the next segment."""
+    poses: Array
+    """`[point, 8]`."""
+    found: Array
+    """`[candidate, joint]` candidates of its end that the search found, ..."""
+    fine: Array
+    """... and which of them are usable."""
+    fixed: Array
+    """Is the first of them the one to end in?"""
 
 
 def _take(scenes: Scene, count: int) -> Scene:
     return jax.tree.map(lambda a: a[:count], scenes)
 
 
-def _forwards(cell: Workcell, first, parts: tuple, scale, config: LabelConfig):
-    """Follow the unit segments one after the other, from all candidates of their first pose.
+def _follow_all(
+    cell: Workcell, segments: _Segment, first: tuple[Array, Array], scale, config: LabelConfig
+):
+    """Follow the unit segments one after the other, from all candidates of their first pose, then
+    each of them backwards, from those of its last.
 
     A path that is feasible to its end carries its candidate on to the next key pose; elsewhere
-    one that the search found takes its place.
+    one that the search found takes its place. Both ways are one loop, for the sake of compilation.
 
     Args:
         cell: robot and fixtures.
+        segments: stacked.
         first: candidates of the start, and which are usable.
-        parts: of each segment its scene, the scene beyond it, its poses, the candidates of its end,
-            which of them are usable, and whether the first of them is the one to end in.
         scale, config: thresholds.
 
     Returns:
-        Candidates and which are usable at the end of each segment; which were carried on; the
-        paths and which of their points are feasible.
+        Candidates and which are usable at the end of each segment; which were carried on; paths
+        ahead and back, and which of their points are feasible, both along a leading axis.
     """
+    count = segments.fixed.shape[0]
+    turned = segments.replace(poses=segments.poses[:, ::-1])
+    twice = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), segments, turned)
+    steps = (twice, jnp.arange(2 * count) % count, jnp.arange(2 * count) >= count)
 
-    def advance(carry, part):
-        q, usable = carry
-        scene, beyond, path, found, fine, fixed = part
-        inside, onward = cell.replace(scene=scene), cell.replace(scene=beyond)
-        ahead, ok = jax.vmap(lambda one: follow(inside, path, one, scale, config))(q)
-        there = _judge(onward, ahead[:, -1], config.key_margin, scale, config)
+    def advance(carry, step):
+        (q, usable), ends = carry
+        part, number, backwards = step
+        inside, onward = cell.replace(scene=part.scene), cell.replace(scene=part.beyond)
+        begin = jnp.where(backwards, ends[number], q)
+        path, ok = jax.vmap(lambda one: follow(inside, part.poses, one, scale, config))(begin)
+        there = _judge(onward, path[:, -1], config.key_margin, scale, config)
         # the end of a task may be one configuration, not any that has its pose
-        there &= ~fixed | (jnp.max(jnp.abs(ahead[:, -1] - found), axis=-1) <= config.arrived)
-        kept = usable & jnp.all(ok, axis=-1) & there
-        q = jnp.where((kept & ~fixed)[:, None], ahead[:, -1], found)
-        usable = jnp.where(fixed, fine, kept | fine)
-        return (q, usable), (q, usable, kept, ahead, ok)
+        arrived = jnp.max(jnp.abs(path[:, -1] - part.found), axis=-1) <= config.arrived
+        kept = usable & jnp.all(ok, axis=-1) & there & (arrived | ~part.fixed)
+        after = jnp.where((kept & ~part.fixed)[:, None], path[:, -1], part.found)
+        usable = jnp.where(part.fixed, part.fine, kept | part.fine)
+        ends = jnp.where(backwards, ends, ends.at[number].set(after))
+        return ((after, usable), ends), (after, usable, kept, path, ok)
 
-    return jax.lax.scan(advance, first, parts)[1]
+    carry = first, jnp.zeros_like(segments.found)
+    q, usable, kept, path, ok = jax.lax.scan(advance, carry, steps)[1]
+    both = (a.reshape(2, count, *a.shape[1:]) for a in (path, ok))
+    return q[:count], usable[:count], kept[:count], *both
 
 
 @functools.partial(jax.jit, static_argnames="config")
