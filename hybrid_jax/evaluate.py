@@ -64,7 +64,7 @@ def run_study(study, opened, contestants, seeds: range, out: Path) -> int:
         rows += [study.row_of(one.name, report) for report in reports]
         failed = [report for report in reports if not study.succeeded(report)]
         keep_motions(out.with_suffix(""), one.name, map(study.frames_of, failed))
-        metrics = study.summarize(rows, seconds)
+        metrics = study.summarize(rows, seconds) + study.learning(opened)
         export.write_json(out, {"metrics": metrics, "runs": rows})
     study.draw(out.with_suffix(".png"), rows, opened)
     print(as_table(metrics))

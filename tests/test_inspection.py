@@ -17,18 +17,19 @@ from hybrid_jax.export import to_joint_trajectory
 from hybrid_jax.planner.lfd import optimal_chooser
 from hybrid_jax.planner.loading import optimal_switcher, read_library
 from hybrid_jax.planner.pipeline import plan_batch
-from hybrid_jax.planner.records import Planner
+from hybrid_jax.planner.records import Planner, PlanResult
 from hybrid_jax.presets import DEFAULT
 from hybrid_jax.simulation.disturbances import Disturbance
 from hybrid_jax.simulation.inspecting import InspectionReport, Trial, inspect_parts
 from hybrid_jax.simulation.plant import Touch
 from hybrid_jax.simulation.runs import planning
 from hybrid_jax.skills.handling import require_handling
-from hybrid_jax.skills.inspection import brush_errors, inspection_task, on_face
+from hybrid_jax.skills.inspection import brush_errors, inspection_task, on_face, random_start
 from hybrid_jax.skills.scenes import sample_scene
 from hybrid_jax.skills.tasks import make_task, random_task
 from hybrid_jax.studies import inspection as study
 from hybrid_jax.studies.inspectionpictures import draw_study
+from hybrid_jax.studies.measures import steady_from
 from hybrid_jax.types import Status, Trajectory
 from hybrid_jax.workcell.assets import robots_folder, workcell_names
 from hybrid_jax.workcell.geometry import as_row, pose_of
@@ -162,8 +163,9 @@ def test_trials_are_carried_out_exactly_and_without_a_touch(fpi, reports):
 
 def test_the_brush_keeps_to_its_speed(fpi, inspector):
     """Judged by C MuJoCo's kinematics and differences of the timed points."""
-    task = inspection_task(fpi, "left_2", sample_scene(fpi, 3))
-    plan = inspector and plan_batch(inspector, [task], key=jax.random.key(0))[0]
+    start = random_start(fpi, np.random.default_rng(0))
+    task = inspection_task(fpi, "left_2", sample_scene(fpi, 3), start)
+    plan = plan_batch(inspector, [task], key=jax.random.key(0))[0]
     assert plan.status is Status.OK, plan.detail
     data, site, stroke = mujoco.MjData(fpi.model), fpi.source.layout.tool_site, plan.phases[-1]
     tool = []
@@ -181,9 +183,6 @@ def test_the_brush_keeps_to_its_speed(fpi, inspector):
 
 def test_a_brush_that_is_pressed_into_the_part_is_a_collision(fpi, reports):
     """The planner's motion, lowered by turning the shoulder, must be told by the sensors."""
-    from hybrid_jax.planner.records import PlanResult
-    from hybrid_jax.skills.inspection import random_start
-
     trial = Trial("left_2", 3)
     start = random_start(fpi, np.random.default_rng([trial.seed, 2]))
 
@@ -226,6 +225,9 @@ def test_the_study_adds_up(tmp_path):
     assert found["inspection.collisions"]["value"] == 1
     assert found["inspection.brush_angle_rms"]["value"] == pytest.approx(1.0)
     assert found["inspection.stand_off_rms"]["value"] == pytest.approx(1.0)
+
+    assert steady_from([1, 2, 3, 4, 5], [0.0, 9.0, 10.2, 9.9, 10.0], 0.05) == 3
+    assert steady_from([1, 2], [1.0, 1.0], 0.05) == 1
 
     class Blank:
         def metrics(self, stage):

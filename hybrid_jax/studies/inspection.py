@@ -13,11 +13,13 @@ from hybrid_jax.simulation.runs import planning
 from hybrid_jax.skills.inspection import require_inspection
 from hybrid_jax.studies.contestants import Contestant
 from hybrid_jax.studies.inspectionpictures import draw_study
-from hybrid_jax.studies.measures import Metrics, rate
+from hybrid_jax.studies.measures import Metrics, rate, steady_from
 from hybrid_jax.types import Workcell
 
-METHODS = ("hybrid", "drl", "lfd")
+METHODS = ("hybrid", "drl")
 """Methods that are compared if none is named."""
+STEADY, MEAN_OF = 0.05, 5
+"""An agent is steady where the mean of so many updates stays within this share of where it ends."""
 LEVELS = {
     "5cm_5deg": (0.05, np.radians(5.0)),
     "1cm_2deg": (0.01, np.radians(2.0)),
@@ -108,6 +110,27 @@ def _add_strokes(metrics: Metrics, name: str, own: list[dict]) -> None:
         metrics.add(f"{name}{key}_rms", float(np.sqrt(np.mean(each**2))), unit, "lower", note)
     cycle = float(np.median([row["cycle_s"] for row in done]))
     metrics.add(f"{name}cycle_time", cycle, "s", "lower", "median of trials that were carried out")
+
+
+def learning(run: Run) -> list[dict]:
+    """After how many episodes each agent's policy was steady."""
+    metrics = Metrics("inspection")
+    curves = {
+        "lfd": ("lfd", "cost_over_optimum", "cost of its plans of unseen tasks"),
+        "drl_feasibility": ("drl", "return", "return"),
+        "drl": ("alone", "return", "return"),
+    }
+    for name, (stage, column, text) in curves.items():
+        rows = [row for row in run.metrics(stage) if column in row]
+        if not rows:
+            continue
+        own = "episodes" in rows[0]
+        at = np.cumsum([row["episodes"] for row in rows]) if own else [row["step"] for row in rows]
+        values = np.convolve([row[column] for row in rows], np.full(MEAN_OF, 1 / MEAN_OF), "valid")
+        steady = steady_from(at[MEAN_OF - 1 :], values, STEADY)
+        note = f"{text} stays within {STEADY:.0%} of where it ends, of {at[-1]:,.0f} episodes"
+        metrics.add(f"{name}_steady_episodes", steady, "1", "lower", note)
+    return metrics.rows
 
 
 def succeeded(report: InspectionReport) -> bool:

@@ -2,8 +2,10 @@
 """Metrics of a study: rates with their intervals, and what they are printed as."""
 
 from collections import Counter
+from collections.abc import Sequence
 
 import jax
+import numpy as np
 from scipy.stats import binomtest
 
 
@@ -31,6 +33,20 @@ def rate(won: list[bool], causes: list[str] | None = None) -> tuple[float, str, 
     failed = Counter(cause for cause, success in pairs if not success)
     note += "".join(f"; {cause} {times}" for cause, times in failed.most_common())
     return wins / count, "1", "higher", note
+
+
+def steady_from(at: Sequence[float], values: Sequence[float], tolerance: float) -> float:
+    """Where a curve becomes steady: from there on it stays within a tolerance of where it ends.
+
+    Args:
+        at: steps or episodes.
+        values: at these; where it ends is the mean of the last tenth.
+        tolerance: share of that mean.
+    """
+    curve = np.asarray(values, float)
+    last = curve[-max(1, len(curve) // 10) :].mean()
+    away = np.flatnonzero(np.abs(curve - last) > tolerance * abs(last))
+    return float(at[min(away[-1] + 1, len(curve) - 1)]) if away.size else float(at[0])
 
 
 def as_table(metrics: list[dict]) -> str:
