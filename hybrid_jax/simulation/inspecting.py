@@ -69,9 +69,7 @@ class InspectionReport:
     def succeeded(self, position: float, rotation: float) -> bool:
         """Was every key pose met within these tolerances [m], [rad], without a contact?"""
         carried_out = not self.cause and not self.touches
-        return carried_out and bool(
-            max(self.away) <= position and max(self.turned) <= rotation
-        )
+        return carried_out and bool(max(self.away) <= position and max(self.turned) <= rotation)
 
 
 class Inspecting:
@@ -118,13 +116,13 @@ class Inspecting:
             report.detail = f"{result.status.name}: {result.detail}"
             return
         report.shares = {s.name: round(result.shares[s], 3) for s in Source}
-        tools = np.zeros((0, 7))
         for (_, high), trajectory in zip(task.phases, result.phases, strict=True):
             # the parts may lie elsewhere than was seen, or have been moved
             truth = inspection_task(cell, self.trial.part, plant.objects(), task.start)
             tools = yield from self._follow(trajectory)
             self._compare(truth.key_poses[high], tools[-1])
-        self._judge_stroke(tools)
+            if high == len(task.carrying):  # the rest at its end is no part of the stroke
+                self._judge_stroke(tools[: int(trajectory.times[-1] / (MEASURED * plant.dt))])
         report.cause = ""
 
     def _follow(self, trajectory: Trajectory) -> Steps:
