@@ -44,8 +44,9 @@ class Problems:
 def collect(cell: Workcell, scale: float, first: int, count: int) -> Segments:
     """Infeasible segments of `count` random tasks."""
     return harvest(
-        cell, read_library(), optimal_chooser, DEFAULT.planner.skills, DEFAULT.planner.labels,
-        scale, tasks=range(first, first + count), seed=0, progress=Progress("collect", "tasks"),
+        cell, read_library(), optimal_chooser, DEFAULT.planner.skills,
+        DEFAULT.planner.first_look, scale, tasks=range(first, first + count), seed=0,
+        progress=Progress("collect", "tasks"),
     )  # fmt: skip
 
 

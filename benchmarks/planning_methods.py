@@ -27,7 +27,7 @@ from hybrid_jax.skills.task import Task
 from hybrid_jax.skills.tasks import random_task
 from hybrid_jax.types import Workcell
 
-TRAINING, TRAINING_TASKS = 10_000, 100
+TRAINING, TRAINING_TASKS = 1_000_000, 100
 """Seeds of the first training task, and how many there are."""
 SWITCH_TASKS = 24
 """Training tasks whose combined trajectories the switching agent sees, ..."""
@@ -92,7 +92,7 @@ def learn_planner(cell: Workcell) -> Planner:
     # the scale is drawn from random configurations: any grid will do
     scale = float(build_feasibility_map(cell, SMOKE.map).manipulability_scale)
     segments = harvest(
-        cell, library, optimal_chooser, preset.skills, preset.labels, scale, seed=0,
+        cell, library, optimal_chooser, preset.skills, preset.first_look, scale, seed=0,
         tasks=range(TRAINING, TRAINING + TRAINING_TASKS), progress=Progress("collect", "tasks"),
     )  # fmt: skip
     bridge, switch = train_joint_agent(cell, segments), optimal_switcher(DEFAULT.switch)

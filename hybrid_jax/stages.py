@@ -102,7 +102,7 @@ def collect_segments(run: Run, name: str, first: int, count: int, quiet: bool) -
         read_library(run.skills),
         optimal_chooser,
         run.preset.planner.skills,
-        run.preset.planner.labels,
+        run.preset.planner.first_look,
         read_scale(run),
         tasks=range(first, first + count),
         seed=run.seed,

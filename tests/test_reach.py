@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 
 from hybrid_jax.agents import joint, networks, ppo, training
-from hybrid_jax.agents.segments import Segments, refuse_infeasible, single_segment, take
+from hybrid_jax.agents.segments import (
+    Segments,
+    refuse_infeasible,
+    single_segment,
+    take,
+    with_room,
+)
 from hybrid_jax.errors import SegmentError
 from hybrid_jax.kernels.collision import clearance
 from hybrid_jax.kernels.edges import edge_is_free
@@ -149,6 +155,9 @@ def test_infeasible_ends_are_refused_by_name(cell, segments, agent):
     hit = segments.replace(start=segments.start.at[1].set(low))
     with pytest.raises(SegmentError, match=r"segment 1: the clearance of its start is -"):
         refuse_infeasible(cell, hit, 0.0)
+    np.testing.assert_array_equal(
+        with_room(cell, hit, 0.0).start, np.delete(segments.start, 1, axis=0)
+    )
     bridge = joint.make_bridger(cell, *agent, CONFIG)
     with pytest.raises(SegmentError, match="its goal"):
         bridge(single_segment(cell.scene, segments.start[0], low), jax.random.key(0))

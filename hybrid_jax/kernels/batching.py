@@ -32,13 +32,13 @@ def map_items(function: Callable, args, size: int):
 def padded_chunks(count: int, size: int) -> list[tuple[np.ndarray, int]]:
     """Indices 0 .. count - 1 in chunks of one size, so that few programs serve any count.
 
-    Where most of a chunk would be padding, each item is a chunk of its own. The last chunk repeats
-    its last index.
+    Where three quarters of a chunk would be padding, each item is a chunk of its own. The last
+    chunk repeats its last index.
 
     Returns:
         Indices `[size]` or `[1]` of each chunk, and how many of them count.
     """
-    if 2 * count <= size:
+    if 4 * count <= size:
         return [(np.array([i]), 1) for i in range(count)]
     firsts = range(0, count, size)
     return [

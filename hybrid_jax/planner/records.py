@@ -44,6 +44,11 @@ class PlannerConfig:
     """What bridges where the joint agent finds no way; None gives up there. Beside key poses there
     is no room for a larger margin."""
 
+    @property
+    def first_look(self) -> LabelConfig:
+        """How tasks are labelled at first: what most plans rest on, and the agents' data."""
+        return self.quick or self.labels
+
 
 @dataclass(frozen=True)
 class Planner:

@@ -23,9 +23,8 @@ def combined_phases(planner: Planner, tasks: Sequence[Task], key: Array) -> list
     Phases with a gap that the joint agent does not bridge are left out; without a joint agent,
     the skill's own motion stands in for both.
     """
-    config, key_label, key_bridge = planner.config, *jax.random.split(key)
-    # a quick look is what most plans rest on
-    planner = replace(planner, config=replace(config, labels=config.quick or config.labels))
+    key_label, key_bridge = jax.random.split(key)
+    planner = replace(planner, config=replace(planner.config, labels=planner.config.first_look))
     engine = Engine(planner.cell, planner.config.check)
     _, jobs = prepare(planner, engine, tasks, key_label)
     for job in jobs.values():
