@@ -5,7 +5,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from hybrid_jax.errors import WorkcellError
-from hybrid_jax.skills.scenes import sample_scene
+from hybrid_jax.skills.scenes import require_task_data, sample_scene
 from hybrid_jax.skills.task import Task, as_dual_quats, home_pose, start_of, upright, yaw_of
 from hybrid_jax.types import Workcell, WorkcellSource
 from hybrid_jax.workcell.description import Handling, ObjectSpec
@@ -21,11 +21,7 @@ def require_handling(cell: Workcell) -> Handling:
     Raises:
         WorkcellError: it has none, or what is done in it is something else.
     """
-    data, name = cell.source.task, cell.source.name
-    if data is None:
-        raise WorkcellError(
-            f"the cell {name!r} has no task data: write {name}.toml beside its MJCF"
-        )
+    data, name = require_task_data(cell), cell.source.name
     if not isinstance(data, Handling):
         raise WorkcellError(f"nothing is handled in the cell {name!r}: {name}.toml says otherwise")
     return data
