@@ -12,6 +12,8 @@ import numpy as np  # noqa: E402
 
 from hybrid_jax.runfolder import Run  # noqa: E402
 
+TITLES = {"5cm_5deg": "5 cm, 5 deg", "1cm_2deg": "1 cm, 2 deg", "1mm_05deg": "1 mm, 0.5 deg"}
+"""How the tolerances are written."""
 _COLOURS = plt.get_cmap("tab10").colors  # type: ignore[attr-defined]
 
 
@@ -27,7 +29,7 @@ def _tasks(ax, rows: list[dict], level: str) -> None:
         ]
         at = np.arange(len(parts)) + (i - (len(methods) - 1) / 2) * width
         ax.bar(at, rates, width, label=method, color=_COLOURS[i])
-    ax.set(ylabel="share of trials", ylim=(0, 1.05), title=f"success at {level.replace('_', ', ')}")
+    ax.set(ylabel="share of trials", ylim=(0, 1.05), title=f"success at {TITLES.get(level, level)}")
     ax.set_xticks(range(len(parts)), parts, rotation=45)
 
 
@@ -40,6 +42,8 @@ def _strokes(ax, rows: list[dict], key: str, unit: str) -> None:
             ax.plot(np.sort(own), share, label=method, color=_COLOURS[i])
     ax.set(xlabel=f"{key.rsplit('_', 2)[0].replace('_', ' ')}, RMS of a stroke [{unit}]",
            ylabel="share of strokes", xscale="log")  # fmt: skip
+    ax.xaxis.set_major_formatter("{x:g}")
+    ax.xaxis.set_minor_formatter("")
     ax.grid(alpha=0.3)
 
 
