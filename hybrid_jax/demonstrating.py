@@ -8,14 +8,11 @@ import numpy as np
 from hybrid_jax.planner.pipeline import plan_batch
 from hybrid_jax.planner.records import Planner
 from hybrid_jax.simulation.driving import Planning
-from hybrid_jax.simulation.inspecting import Trial, inspect_parts
+from hybrid_jax.simulation.inspecting import EXACT, Trial, inspect_parts
 from hybrid_jax.simulation.runs import planning, sort_scene
 from hybrid_jax.skills.scenes import require_task_data
 from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.description import Handling, Inspection
-
-EXACT = 0.001, np.radians(0.5)
-"""A part was brushed if every key pose was met within this [m], [rad]."""
 
 
 @dataclass(frozen=True)

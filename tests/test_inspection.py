@@ -74,22 +74,21 @@ def test_package_names_neither_cell_nor_robot():
 
 
 @pytest.mark.slow
-def test_the_second_robots_links_are_covered(shared, tmp_path):
-    import json
+def test_the_second_robots_links_are_covered(shared):
+    """Each by 99.5 %, and its kinematics agree; the checker fails otherwise only if strict."""
     import subprocess
     import sys
 
     mapping = shared / "robots" / "examples" / "fanuc_lrmate200id_map.json"
     checker = shared / "robots" / "check_collision_model.py"
     name = "fanuc_lrmate200id_brush"
-    xml, out = robots_folder() / name / f"{name}.xml", tmp_path / "out.json"
+    xml = robots_folder() / name / f"{name}.xml"
     done = subprocess.run(
         [sys.executable, str(checker), str(xml), "fanuc_lrmate200id", str(mapping),
-         "--samples", "5000", "--json", str(out)],
+         "--samples", "5000", "--strict"],
         capture_output=True, text=True,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout[-1500:] + done.stderr[-500:]
-    assert "coverage" in json.dumps(json.loads(out.read_text())).lower()
 
 
 def test_home_is_free_and_nothing_can_be_held(fpi):

@@ -122,7 +122,8 @@ def test_collision_models_cover_the_real_links(cell, shared, tmp_path):
         path.write_text(json.dumps(mapping))
         xml = robots_folder() / model / f"{model}.xml"
         done = subprocess.run(
-            [sys.executable, str(checker), str(xml), robot, str(path), "--samples", "1000"],
+            [sys.executable, str(checker), str(xml), robot, str(path), "--samples", "1000",
+             "--strict"],
             capture_output=True,
             text=True,
         )

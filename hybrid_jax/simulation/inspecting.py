@@ -26,6 +26,8 @@ from hybrid_jax.workcell.geometry import pose_of
 
 TOGETHER = 100
 """Trials that are simulated side by side."""
+EXACT = 0.001, np.radians(0.5)
+"""The strictest tolerance of a key pose that is asked for [m], [rad]."""
 MEASURED = 5
 """Physics steps from one measurement of the brush to the next."""
 

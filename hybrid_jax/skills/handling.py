@@ -4,8 +4,7 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from hybrid_jax.errors import WorkcellError
-from hybrid_jax.skills.scenes import require_task_data, sample_scene
+from hybrid_jax.skills.scenes import require_kind, sample_scene
 from hybrid_jax.skills.task import Task, as_dual_quats, home_pose, start_of, upright, yaw_of
 from hybrid_jax.types import Workcell, WorkcellSource
 from hybrid_jax.workcell.description import Handling, ObjectSpec
@@ -16,15 +15,8 @@ _DOWN = Rotation.from_euler("x", np.pi)
 
 
 def require_handling(cell: Workcell) -> Handling:
-    """The cell's data of a handling task.
-
-    Raises:
-        WorkcellError: it has none, or what is done in it is something else.
-    """
-    data, name = require_task_data(cell), cell.source.name
-    if not isinstance(data, Handling):
-        raise WorkcellError(f"nothing is handled in the cell {name!r}: {name}.toml says otherwise")
-    return data
+    """The cell's data of a handling task; WorkcellError where it has none."""
+    return require_kind(cell, Handling, "handled")
 
 
 def _grasp_frame(spec: ObjectSpec, grasp: int) -> RigidTransform:

@@ -7,7 +7,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from hybrid_jax.errors import WorkcellError
 from hybrid_jax.kernels.collision import clearance
-from hybrid_jax.skills.scenes import require_task_data, sample_scene
+from hybrid_jax.skills.scenes import require_kind, sample_scene
 from hybrid_jax.skills.task import Task, as_dual_quats, home_pose, start_of
 from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.description import FaceSpec, Inspection
@@ -24,15 +24,8 @@ _clearance = jax.jit(clearance)
 
 
 def require_inspection(cell: Workcell) -> Inspection:
-    """The cell's data of an inspection task.
-
-    Raises:
-        WorkcellError: it has none, or what is done in it is something else.
-    """
-    data, name = require_task_data(cell), cell.source.name
-    if not isinstance(data, Inspection):
-        raise WorkcellError(f"nothing is inspected in the cell {name!r}: see {name}.toml")
-    return data
+    """The cell's data of an inspection task; WorkcellError where it has none."""
+    return require_kind(cell, Inspection, "inspected")
 
 
 def on_face(face: FaceSpec, share: float) -> RigidTransform:

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Random scenes of a cell: its objects, where they may lie."""
 
+from typing import TypeVar
+
 import mujoco
 import numpy as np
 
@@ -8,6 +10,25 @@ from hybrid_jax.errors import WorkcellError
 from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.description import TaskData
 from hybrid_jax.workcell.layout import home_qpos
+
+T = TypeVar("T")
+
+
+def require_kind(cell: Workcell, kind: type[T], done: str) -> T:
+    """The cell's task data of one kind.
+
+    Args:
+        cell: any.
+        kind: of its data.
+        done: what such a cell is for, for the message: "handled".
+
+    Raises:
+        WorkcellError: it has none, or what is done in it is something else.
+    """
+    data, name = require_task_data(cell), cell.source.name
+    if not isinstance(data, kind):
+        raise WorkcellError(f"nothing is {done} in the cell {name!r}: {name}.toml says otherwise")
+    return data
 
 
 def require_task_data(cell: Workcell) -> TaskData:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """The methods that studies compare."""
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -11,8 +12,10 @@ from hybrid_jax.planner.directly import joint_agent_only
 from hybrid_jax.planner.loading import load_planner
 from hybrid_jax.planner.pipeline import lfd_only, plan_batch
 from hybrid_jax.planner.records import Planner, PlanResult
+from hybrid_jax.progress import Progress
 from hybrid_jax.runfolder import Run
 from hybrid_jax.simulation.disturbances import CALM, DISTURBED, Disturbance
+from hybrid_jax.simulation.runs import planning
 from hybrid_jax.skills.task import Task
 from hybrid_jax.studies.rivals import paper_run, whole_space_agent
 
@@ -47,6 +50,30 @@ def one_by_one(plan: Callable[..., PlanResult]) -> PlanMany:
         return [plan(planner, task, key=k) for task, k in zip(tasks, keys, strict=True)]
 
     return plan_many
+
+
+def carry_out(
+    one: Contestant, unit: str, count: int, seed: int, run: Callable, quiet: bool = False
+) -> tuple[list, float]:
+    """Let a method plan what a simulation asks for.
+
+    Args:
+        one: the method.
+        unit, count: what is counted on the terminal, and how many there are.
+        seed: of its plans.
+        run: from (planning, progress) to reports.
+        quiet: print nothing.
+
+    Returns:
+        The reports and the time that they took, compilation included [s].
+    """
+    began, progress = time.perf_counter(), Progress(one.name, unit, quiet)
+
+    def report(ended: int, simulated: float) -> None:
+        progress(ended, count, f"{simulated:,.0f} s simulated")
+
+    found = run(planning(one.planner, one.plan, seed), report)
+    return found, time.perf_counter() - began
 
 
 def contestant(name: str, run: Run, paper: Run | None) -> Contestant | None:

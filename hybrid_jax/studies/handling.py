@@ -1,16 +1,14 @@
 # SPDX-License-Identifier: MIT
 """The handling study: every method sorts the objects of the same random scenes, in physics."""
 
-import time
 from collections.abc import Sequence
 from dataclasses import asdict
 
 import numpy as np
 
-from hybrid_jax.progress import Progress
 from hybrid_jax.runfolder import Run
-from hybrid_jax.simulation.runs import SortingReport, planning, sort_scenes
-from hybrid_jax.studies.contestants import Contestant
+from hybrid_jax.simulation.runs import SortingReport, sort_scenes
+from hybrid_jax.studies.contestants import Contestant, carry_out
 from hybrid_jax.studies.handlingpictures import draw_study
 from hybrid_jax.studies.measures import Metrics, rate
 from hybrid_jax.types import Workcell
@@ -23,14 +21,13 @@ def run_contestant(
     cell: Workcell, one: Contestant, seeds: Sequence[int], quiet: bool = False
 ) -> tuple[list[SortingReport], float]:
     """All runs of one method, and the time that they took [s], compilation included."""
-    began, progress = time.perf_counter(), Progress(one.name, "runs", quiet)
-
-    def report(ended: int, simulated: float) -> None:
-        progress(ended, len(seeds), f"{simulated:,.0f} s simulated")
-
-    plan = planning(one.planner, one.plan, seeds[0])
-    found = sort_scenes(cell, plan, seeds, disturbance=one.disturbance, progress=report)
-    return found, time.perf_counter() - began
+    return carry_out(
+        one, "runs", len(seeds), seeds[0],
+        lambda plan, progress: sort_scenes(
+            cell, plan, seeds, disturbance=one.disturbance, progress=progress
+        ),
+        quiet,
+    )  # fmt: skip
 
 
 def row_of(method: str, report: SortingReport) -> dict:

@@ -1,17 +1,14 @@
 # SPDX-License-Identifier: MIT
 """The inspection study: every method brushes the same parts, from random starts, in physics."""
 
-import time
 from collections.abc import Sequence
 
 import numpy as np
 
-from hybrid_jax.progress import Progress
 from hybrid_jax.runfolder import Run
-from hybrid_jax.simulation.inspecting import InspectionReport, Trial, inspect_parts
-from hybrid_jax.simulation.runs import planning
+from hybrid_jax.simulation.inspecting import EXACT, InspectionReport, Trial, inspect_parts
 from hybrid_jax.skills.inspection import require_inspection
-from hybrid_jax.studies.contestants import Contestant
+from hybrid_jax.studies.contestants import Contestant, carry_out
 from hybrid_jax.studies.inspectionpictures import draw_study
 from hybrid_jax.studies.measures import Metrics, rate, steady_from
 from hybrid_jax.types import Workcell
@@ -23,7 +20,7 @@ STEADY, MEAN_OF = 0.05, 5
 LEVELS = {
     "5cm_5deg": (0.05, np.radians(5.0)),
     "1cm_2deg": (0.01, np.radians(2.0)),
-    "1mm_05deg": (0.001, np.radians(0.5)),
+    "1mm_05deg": EXACT,
 }
 """Tolerances of every key pose: position [m], each Euler angle [rad]. The first is the paper's."""
 
@@ -32,20 +29,19 @@ def run_contestant(
     cell: Workcell, one: Contestant, seeds: Sequence[int], quiet: bool = False
 ) -> tuple[list[InspectionReport], float]:
     """A trial of every part for each seed, and the time that they took [s], with compiling."""
-    began, progress = time.perf_counter(), Progress(one.name, "trials", quiet)
     parts = require_inspection(cell).parts
     trials = [
         Trial(part.name, len(parts) * seed + number)
         for number, part in enumerate(parts)
         for seed in seeds
     ]
-
-    def report(ended: int, simulated: float) -> None:
-        progress(ended, len(trials), f"{simulated:,.0f} s simulated")
-
-    plan = planning(one.planner, one.plan, seeds[0])
-    found = inspect_parts(cell, plan, trials, one.disturbance, progress=report)
-    return found, time.perf_counter() - began
+    return carry_out(
+        one, "trials", len(trials), seeds[0],
+        lambda plan, progress: inspect_parts(
+            cell, plan, trials, one.disturbance, progress=progress
+        ),
+        quiet,
+    )  # fmt: skip
 
 
 def row_of(method: str, report: InspectionReport) -> dict:
@@ -135,7 +131,7 @@ def learning(run: Run) -> list[dict]:
 
 def succeeded(report: InspectionReport) -> bool:
     """Was everything met as exactly as the study asks for at most?"""
-    return report.succeeded(*list(LEVELS.values())[-1])
+    return report.succeeded(*EXACT)
 
 
 def frames_of(report: InspectionReport) -> tuple[str, np.ndarray]:

@@ -7,7 +7,8 @@ import numpy as np
 
 from hybrid_jax.kernels.primitives import joined_order
 from hybrid_jax.types import ContactPairs
-from hybrid_jax.workcell.geometry import Primitive
+from hybrid_jax.workcell.geometry import Primitive, geom_label
+from hybrid_jax.workcell.layout import Layout, home_qpos, moved_geoms
 
 
 def may_collide(model: mujoco.MjModel, a: int, b: int) -> bool:
@@ -25,6 +26,37 @@ def may_collide(model: mujoco.MjModel, a: int, b: int) -> bool:
         return False
     low, high = sorted((body_a, body_b))
     return (low << 16) + high not in set(int(s) for s in model.exclude_signature)
+
+
+def overlaps(
+    model: mujoco.MjModel, data: mujoco.MjData, robot: np.ndarray
+) -> dict[tuple[int, int], float]:
+    """Pairs of geoms, one of them the robot's, that overlap at `data.qpos`, and how deep [m].
+
+    Args:
+        model, data: the cell in C MuJoCo.
+        robot: `[geom]` True for the robot's.
+    """
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_collision(model, data)
+    return {
+        (int(a), int(b)): -float(contact.dist)
+        for contact in data.contact[: data.ncon]
+        for a, b in [sorted(contact.geom)]
+        if contact.dist < 0 and (robot[a] or robot[b]) and may_collide(model, a, b)
+    }
+
+
+def home_overlaps(model: mujoco.MjModel, layout: Layout) -> list[str]:
+    """What the robot overlaps with in its home configuration, in sentences."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = home_qpos(model)
+    return [
+        f"the home configuration collides: {geom_label(model, a)} and {geom_label(model, b)} "
+        f"overlap by {1e3 * depth:.1f} mm; change the keyframe 'home'"
+        for (a, b), depth in overlaps(model, data, moved_geoms(model, layout)).items()
+    ]
 
 
 def _cover(table: np.ndarray, boxes: list[bool]) -> list[int]:

@@ -14,7 +14,7 @@ from hybrid_jax.errors import HybridJaxError, WorkcellError
 from hybrid_jax.workcell import geometry
 from hybrid_jax.workcell.chain import DEFAULT_ACCELERATION, DEFAULT_VELOCITY, reference_data
 from hybrid_jax.workcell.compile import MESH_TOLERANCE
-from hybrid_jax.workcell.contacts import may_collide
+from hybrid_jax.workcell.contacts import home_overlaps, overlaps
 from hybrid_jax.workcell.description import read_task_data
 from hybrid_jax.workcell.layout import Layout, body_path, find_layout, home_qpos, moved_geoms
 from hybrid_jax.workcell.load import read_model
@@ -129,19 +129,6 @@ def _masses(path: Path, model: mujoco.MjModel, layout: Layout) -> Iterator[Findi
             yield Finding(WRONG, f"object {name!r} weighs nothing: give its geoms a mass")
 
 
-def _overlaps(model: mujoco.MjModel, data: mujoco.MjData, robot: np.ndarray) -> dict:
-    """Pairs of geoms, one of them the robot's, that overlap, and how deep [m]."""
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
-    mujoco.mj_collision(model, data)
-    return {
-        (int(a), int(b)): -float(contact.dist)
-        for contact in data.contact[: data.ncon]
-        for a, b in [sorted(contact.geom)]
-        if contact.dist < 0 and (robot[a] or robot[b]) and may_collide(model, a, b)
-    }
-
-
 def _home(model: mujoco.MjModel, layout: Layout) -> Iterator[Finding]:
     """The home configuration: is there one, within the limits, free?"""
     if not model.nkey:
@@ -155,15 +142,8 @@ def _home(model: mujoco.MjModel, layout: Layout) -> Iterator[Finding]:
                 f"the home configuration has joint {name!r} at {home[address]:.3f}, outside its "
                 f"limits {low:.3f} to {high:.3f}; change the keyframe 'home'",
             )
-    data = mujoco.MjData(model)
-    data.qpos[:] = home
-    for (a, b), depth in _overlaps(model, data, moved_geoms(model, layout)).items():
-        names = [geometry.geom_label(model, g) for g in (a, b)]
-        yield Finding(
-            WRONG,
-            f"the home configuration collides: {names[0]} and {names[1]} overlap by "
-            f"{1e3 * depth:.1f} mm; change the keyframe 'home'",
-        )
+    for sentence in home_overlaps(model, layout):
+        yield Finding(WRONG, sentence)
 
 
 def _always_touching(model: mujoco.MjModel, layout: Layout) -> Iterator[Finding]:
@@ -174,7 +154,7 @@ def _always_touching(model: mujoco.MjModel, layout: Layout) -> Iterator[Finding]
     low, high = np.where(limited, model.jnt_range[joints], [-np.pi, np.pi]).T
     for _ in range(SAMPLES):
         data.qpos[list(layout.qpos)] = rng.uniform(low, high)
-        counts.update(_overlaps(model, data, robot).keys())
+        counts.update(overlaps(model, data, robot).keys())
     for (a, b), count in counts.items():
         if count == SAMPLES:
             bodies = [model.body(model.geom_bodyid[g]).name for g in (a, b)]

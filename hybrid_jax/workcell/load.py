@@ -10,10 +10,9 @@ import numpy as np
 from hybrid_jax.errors import WorkcellError
 from hybrid_jax.quiet import engine_messages
 from hybrid_jax.types import Workcell
-from hybrid_jax.workcell import geometry
 from hybrid_jax.workcell.assets import find_workcell
 from hybrid_jax.workcell.compile import MESH_TOLERANCE, compile_workcell
-from hybrid_jax.workcell.contacts import may_collide
+from hybrid_jax.workcell.contacts import home_overlaps
 from hybrid_jax.workcell.description import read_task_data
 from hybrid_jax.workcell.layout import TOOL_NAMES, home_qpos
 from hybrid_jax.workcell.scene import place_objects
@@ -45,25 +44,6 @@ def read_model(path: Path) -> mujoco.MjModel:
         raise WorkcellError(f"{path.name}: MuJoCo cannot read it: {error}") from None
 
 
-def check_home(model: mujoco.MjModel, robot_geoms: set[int]) -> None:
-    """Refuse a cell whose robot touches something at home.
-
-    Raises:
-        WorkcellError: naming the two geoms and the depth.
-    """
-    data = mujoco.MjData(model)
-    data.qpos[:] = home_qpos(model)
-    mujoco.mj_forward(model, data)
-    for contact in data.contact[: data.ncon]:
-        a, b = contact.geom
-        if contact.dist < 0 and (a in robot_geoms or b in robot_geoms) and may_collide(model, a, b):
-            names = [geometry.geom_label(model, g) for g in (a, b)]
-            raise WorkcellError(
-                f"the home configuration collides: {names[0]} and {names[1]} overlap by "
-                f"{-1e3 * contact.dist:.1f} mm; change the keyframe 'home'"
-            )
-
-
 def load_workcell(name_or_path: str | Path, *, mesh_tolerance: float = MESH_TOLERANCE) -> Workcell:
     """Load a work cell by the name of a shipped one or from an MJCF file.
 
@@ -78,13 +58,8 @@ def load_workcell(name_or_path: str | Path, *, mesh_tolerance: float = MESH_TOLE
     model = read_model(path)
     task = read_task_data(path.with_suffix(".toml"))
     cell = compile_workcell(model, path.stem, task, mesh_tolerance, path)
-    fixed_or_object = {
-        g
-        for g in range(model.ngeom)
-        if model.body_weldid[model.geom_bodyid[g]] == 0
-        or model.body_rootid[model.geom_bodyid[g]] in cell.source.layout.object_bodies
-    }
-    check_home(model, set(range(model.ngeom)) - fixed_or_object)
+    for sentence in home_overlaps(model, cell.source.layout):
+        raise WorkcellError(sentence)
     home = home_qpos(model)
     poses = [home[a : a + 7] for a in cell.source.layout.object_qpos]
     return place_objects(cell, jnp.asarray(np.array(poses, np.float32).reshape(-1, 7)))
