@@ -38,8 +38,29 @@ def save(path: Path, kind: str, digest: str, tree: Any, **header) -> None:
     head = {"format": FORMAT, "kind": kind, "workcell": digest, "empty": empty, **header}
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_suffix(".partial.npz")
-    np.savez_compressed(partial, **{_HEADER: np.array(json.dumps(head))}, **flat)
-    os.replace(partial, path)
+    try:
+        np.savez_compressed(partial, **{_HEADER: np.array(json.dumps(head))}, **flat)
+        os.replace(partial, path)
+    except OSError:
+        partial.unlink(missing_ok=True)  # on a full disk it is in the way of what is to be saved
+        raise
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file, making its folder if need be; what was there before stays until then."""
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """The same for any content."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(path.name + ".partial")
+    try:
+        partial.write_bytes(content)
+        os.replace(partial, path)
+    except OSError:
+        partial.unlink(missing_ok=True)
+        raise
 
 
 def load(path: Path, kind: str, digest: str | None) -> tuple[dict, dict]:

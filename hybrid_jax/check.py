@@ -6,10 +6,16 @@ from pathlib import Path
 
 import tyro
 
-from hybrid_jax.train import run_cli
+from hybrid_jax.terminal import answer, run_main
 
 
-def main(cell: tyro.conf.Positional[str], tasks: int = 0, skills: Path | None = None) -> int:
+def main(
+    cell: tyro.conf.Positional[str],
+    tasks: int = 0,
+    skills: Path | None = None,
+    quiet: bool = False,
+    json: bool = False,
+) -> int:
     """Look a cell over; ends with exit code 1 if something is wrong.
 
     Args:
@@ -17,18 +23,24 @@ def main(cell: tyro.conf.Positional[str], tasks: int = 0, skills: Path | None = 
         tasks: random tasks of the cell to plan as well, without any training (minutes: the
             planner is compiled first).
         skills: folder of demonstrations to plan with; the shipped ones if not given.
+        quiet: print the answer only.
+        json: print the answer as JSON.
     """
     from hybrid_jax.workcell.assets import find_workcell  # noqa: PLC0415
     from hybrid_jax.workcell.diagnosis import WRONG, diagnose  # noqa: PLC0415
 
     path = find_workcell(cell)
     found = diagnose(path)
-    for finding in found:
-        print(f"{finding.level:9s} {finding.text}")
-    if any(finding.level == WRONG for finding in found):
-        return 1
-    print(describe(path))
-    return plan_tasks(path, tasks, skills) if tasks else 0
+    rows = [(finding.level, finding.text) for finding in found]
+    fit = all(finding.level != WRONG for finding in found)
+    last = [describe(path)] if fit else []
+    if fit and tasks:
+        fit, doubts, sentence = plan_tasks(path, tasks, skills, quiet)
+        rows, last = rows + doubts, [*last, sentence]
+    text = "\n".join([*(f"{level:9s} {line}" for level, line in rows), *last])
+    findings = [{"level": level, "text": line} for level, line in rows]
+    answer(text, {"fit": fit, "findings": findings, "summary": last}, json)
+    return 0 if fit else 1
 
 
 def describe(path: Path) -> str:
@@ -50,8 +62,14 @@ def _tool(cell) -> str:
     return cell.model.site(cell.source.layout.tool_site).name
 
 
-def plan_tasks(path: Path, count: int, skills: Path | None) -> int:
-    """Plan random tasks with skills and RRT-Connect; 1 if one finds no plan."""
+def plan_tasks(
+    path: Path, count: int, skills: Path | None, quiet: bool
+) -> tuple[bool, list[tuple[str, str]], str]:
+    """Plan random tasks with skills and RRT-Connect.
+
+    Returns:
+        Have all of them a plan? A finding for each that has none, and a sentence.
+    """
     from dataclasses import replace  # noqa: PLC0415
 
     import jax  # noqa: PLC0415
@@ -62,8 +80,10 @@ def plan_tasks(path: Path, count: int, skills: Path | None) -> int:
     from hybrid_jax.planner.pipeline import plan_batch  # noqa: PLC0415
     from hybrid_jax.planner.records import Planner  # noqa: PLC0415
     from hybrid_jax.presets import DEFAULT  # noqa: PLC0415
+    from hybrid_jax.progress import working  # noqa: PLC0415
     from hybrid_jax.skills.tasks import random_task  # noqa: PLC0415
     from hybrid_jax.types import Status  # noqa: PLC0415
+    from hybrid_jax.workcell.diagnosis import DOUBTFUL  # noqa: PLC0415
     from hybrid_jax.workcell.load import load_workcell  # noqa: PLC0415
 
     enable_compile_cache()
@@ -74,15 +94,18 @@ def plan_tasks(path: Path, count: int, skills: Path | None) -> int:
     switch = optimal_switcher(DEFAULT.switch)
     planner = Planner(cell, read_library(skills), optimal_chooser, None, switch, 1.0, config)
     some = [random_task(cell, seed) for seed in range(count)]
-    results = plan_batch(planner, some, key=jax.random.key(0))
+    with working("check", f"planning {count} tasks (a first time also compiles)", quiet):
+        results = plan_batch(planner, some, key=jax.random.key(0))
     failed = [(task, r) for task, r in zip(some, results, strict=True) if r.status != Status.OK]
-    for task, result in failed:
-        print(f"doubtful  task of {task.object_name!r}: {result.status.name}: {result.detail}")
+    doubts = [
+        (DOUBTFUL, f"task of {task.object_name!r}: {result.status.name}: {result.detail}")
+        for task, result in failed
+    ]
     causes = Counter(result.status.name for _, result in failed)
     found = f"{count - len(failed)} of {count} random tasks have a plan"
-    print(found + "".join(f"; {cause} {times}" for cause, times in causes.most_common()))
-    return 1 if failed else 0
+    sentence = found + "".join(f"; {cause} {times}" for cause, times in causes.most_common())
+    return not failed, doubts, sentence
 
 
 if __name__ == "__main__":
-    run_cli(main)
+    run_main(main)

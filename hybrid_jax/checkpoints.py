@@ -3,13 +3,14 @@
 
 import dataclasses
 import json
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 
 from hybrid_jax import artifacts
 from hybrid_jax.agents import programs, training
-from hybrid_jax.errors import RunFolderError, TrainingError
+from hybrid_jax.errors import RunFolderError
 from hybrid_jax.progress import Progress
 from hybrid_jax.runfolder import Run
 
@@ -45,8 +46,12 @@ def _read_checkpoint(run: Run, name: str, world, net, config: programs.Config) -
 def train_agent(
     run: Run, stage: str, world, net, config: programs.Config, quiet: bool, every: int = 20
 ) -> training.Training:
-    """Train with progress, metrics and checkpoints; goes on from a checkpoint if there is one."""
-    checkpoint = run.path(f"{stage}_checkpoint.npz")
+    """Train with progress, metrics and checkpoints; goes on from a checkpoint if there is one.
+
+    The last checkpoint stays, so that nothing is lost before the stage has saved what it makes of
+    the training; then `discard` removes it.
+    """
+    checkpoint = _path(run, stage)
     latest, success = None, 0.0
     if checkpoint.is_file():
         latest = _read_checkpoint(run, checkpoint.name, world, net, config)
@@ -68,9 +73,15 @@ def train_agent(
             keep()
 
     try:
-        state = training.train(world, net, config, state=latest, report=report)
-    except (KeyboardInterrupt, TrainingError):
+        return training.train(world, net, config, state=latest, report=report)
+    finally:
         keep()
-        raise
-    checkpoint.unlink(missing_ok=True)
-    return state
+
+
+def discard(run: Run, stage: str) -> None:
+    """Remove the checkpoint of a training whose result is saved."""
+    _path(run, stage).unlink(missing_ok=True)
+
+
+def _path(run: Run, stage: str) -> Path:
+    return run.path(f"{stage}_checkpoint.npz")

@@ -1,33 +1,39 @@
 # SPDX-License-Identifier: MIT
 """Keep demonstrations: `python -m hybrid_jax.demos list | import | split | draw`."""
 
-import sys
 from pathlib import Path
 from typing import Literal
 
 import tyro
 
-from hybrid_jax.errors import HybridJaxError
 from hybrid_jax.skills.demonstration import (
     load_demonstration,
     load_demonstrations,
     save_demonstration,
 )
 from hybrid_jax.skills.importing import ImportConfig, read_recording
+from hybrid_jax.terminal import answer, run_cli
 from hybrid_jax.workcell.assets import demonstrations_folder
 
 
-def list_library(library: Path | None = None) -> int:
+def list_library(library: Path | None = None, json: bool = False) -> int:
     """List the demonstrations of a library.
 
     Args:
         library: folder of demonstrations; the shipped ones if not given.
+        json: print the list as JSON.
     """
-    demos = load_demonstrations(library or demonstrations_folder())
-    width = max(len(demo.name) for demo in demos)
-    for demo in demos:
-        grip = "closed" if demo.closed else "open"
-        print(f"{demo.name:{width}s} {demo.times[-1]:5.1f} s  {grip:6s}  {demo.robot}  {demo.note}")
+    rows = [
+        {"name": demo.name, "seconds": round(float(demo.times[-1]), 2), "robot": demo.robot,
+         "gripper": "closed" if demo.closed else "open", "note": demo.note}
+        for demo in load_demonstrations(library or demonstrations_folder())
+    ]  # fmt: skip
+    width = max(len(row["name"]) for row in rows)
+    lines = [
+        f"{r['name']:{width}s} {r['seconds']:5.1f} s  {r['gripper']:6s}  {r['robot']}  {r['note']}"
+        for r in rows
+    ]
+    answer("\n".join(lines), rows, json)
     return 0
 
 
@@ -95,8 +101,4 @@ COMMANDS = {
 }
 
 if __name__ == "__main__":
-    try:
-        sys.exit(tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="hybrid_jax.demos"))
-    except HybridJaxError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(2)
+    run_cli(lambda: tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="hybrid_jax.demos"))

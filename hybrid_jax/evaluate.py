@@ -5,7 +5,7 @@ from pathlib import Path
 
 from hybrid_jax.compilecache import enable_compile_cache
 from hybrid_jax.errors import InputError
-from hybrid_jax.train import run_cli
+from hybrid_jax.terminal import answer, remark, run_main
 
 FIRST_SEED = 10_000
 """Of the study's scenes; nothing was tuned on those from here on."""
@@ -19,6 +19,8 @@ def main(
     seed: int = FIRST_SEED,
     paper: Path | None = None,
     video: Path | None = None,
+    quiet: bool = False,
+    json: bool = False,
 ) -> int:
     """Let methods do the tasks of the run's cell in the same random scenes, carried out in physics.
 
@@ -34,6 +36,8 @@ def main(
         paper: folder of a run of preset paper, for method paper; trained into the run's folder
             if not given.
         video: MP4 to write instead: the scene of --seed, the first two methods side by side.
+        quiet: print the metrics only.
+        json: print the metrics as JSON.
     """
     if (out is None) == (video is None):
         raise InputError("say where to write to: --out FILE.json for the study, or --video FILE")
@@ -43,6 +47,7 @@ def main(
     from hybrid_jax.runfolder import open_run  # noqa: PLC0415
     from hybrid_jax.studies.choosing import study_of  # noqa: PLC0415
     from hybrid_jax.studies.contestants import contestant  # noqa: PLC0415
+    from hybrid_jax.studies.measures import as_table  # noqa: PLC0415
 
     opened, papers = open_run(run), open_run(paper) if paper else None
     study = study_of(opened.cell)
@@ -50,26 +55,27 @@ def main(
     contestants = [one for one in found if one]
     if video:
         return film_runs(study, opened, contestants[:2], seed, video)
-    return run_study(study, opened, contestants, range(seed, seed + runs), out)
+    metrics = run_study(study, opened, contestants, range(seed, seed + runs), out, quiet)
+    answer(as_table(metrics), metrics, json)
+    return 0
 
 
-def run_study(study, opened, contestants, seeds: range, out: Path) -> int:
+def run_study(study, opened, contestants, seeds: range, out: Path, quiet: bool) -> list[dict]:
     """All methods, one after the other; what is done is on disk after each of them."""
-    from hybrid_jax import export  # noqa: PLC0415
-    from hybrid_jax.studies.measures import as_table  # noqa: PLC0415
+    from hybrid_jax.export import write_json  # noqa: PLC0415
 
     rows, seconds, metrics = [], {}, []
     for one in contestants:
-        reports, seconds[one.name] = study.run_contestant(opened.cell, one, seeds)
+        reports, seconds[one.name] = study.run_contestant(opened.cell, one, seeds, quiet)
         rows += [study.row_of(one.name, report) for report in reports]
         failed = [report for report in reports if not study.succeeded(report)]
         keep_motions(out.with_suffix(""), one.name, map(study.frames_of, failed))
         metrics = study.summarize(rows, seconds) + study.learning(opened)
-        export.write_json(out, {"metrics": metrics, "runs": rows})
+        write_json(out, {"metrics": metrics, "runs": rows})
     study.draw(out.with_suffix(".png"), rows, opened)
-    print(as_table(metrics))
-    print(f"written to {out} and {out.with_suffix('.png')}")
-    return 0
+    if not quiet:
+        remark(f"written to {out} and {out.with_suffix('.png')}")
+    return metrics
 
 
 def keep_motions(folder: Path, method: str, motions) -> None:
@@ -92,7 +98,7 @@ def film_runs(study, opened, contestants, seed: int, video: Path) -> int:
         name = f"{one.name}: {study.title(report)}"
         films[name] = film.render(opened.cell.model, study.frames_of(report)[1])
         for line in study.lines(report):
-            print(f"{one.name:9s} {line}")
+            remark(f"{one.name:9s} {line}")
     if not all(films.values()):
         return 1
     video.parent.mkdir(parents=True, exist_ok=True)
@@ -100,4 +106,4 @@ def film_runs(study, opened, contestants, seed: int, video: Path) -> int:
 
 
 if __name__ == "__main__":
-    run_cli(main)
+    run_main(main)

@@ -9,6 +9,8 @@ import mujoco
 import numpy as np
 from PIL import Image, ImageDraw
 
+from hybrid_jax.terminal import remark
+
 FPS = 10
 """Frames of a film per simulated second."""
 SIZE = 360, 480
@@ -20,7 +22,7 @@ def make_renderer(model: mujoco.MjModel) -> mujoco.Renderer | None:
     try:
         renderer = mujoco.Renderer(model, *SIZE)
     except Exception as error:  # noqa: BLE001  GL back ends raise whatever they like
-        print(
+        remark(
             f"no film: off-screen rendering failed ({type(error).__name__}); install EGL (libegl1) "
             "or OSMesa (libosmesa6) and set MUJOCO_GL=egl or MUJOCO_GL=osmesa. Nothing else is "
             "affected."
@@ -88,7 +90,7 @@ def save_film(path: Path, pictures: Iterable[np.ndarray]) -> bool:
             warnings.simplefilter("ignore", RuntimeWarning)
             imageio.mimwrite(path, list(pictures), fps=FPS, macro_block_size=1)
     except (ImportError, OSError, ValueError) as error:
-        print(f"no {path.name} ({error})")
+        remark(f"no {path.name} ({error})")
         return False
     return True
 

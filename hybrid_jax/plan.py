@@ -4,35 +4,53 @@
 from pathlib import Path
 
 from hybrid_jax.compilecache import enable_compile_cache
-from hybrid_jax.train import run_cli
+from hybrid_jax.terminal import answer, run_main
 
 
-def main(run: Path, task: Path, out: Path, seed: int = 0) -> int:
-    """Plan a task and write its trajectory.
+def main(
+    run: Path, task: Path, out: Path, seed: int = 0, quiet: bool = False, json: bool = False
+) -> int:
+    """Plan a task and write its trajectory; ends with exit code 1 if there is no plan.
 
     Args:
         run: folder of a trained run.
         task: JSON with `object`, and `scene_seed` or `object_poses`.
-        out: JSON file to write, in the layout of ROS's JointTrajectory.
+        out: file to write: .json or .csv in the layout of ROS's JointTrajectory, or .ls, a program
+            for the controller of a cell that has one. Without a plan only .json is written.
         seed: of IK and rollouts.
+        quiet: print the answer only.
+        json: print the answer as JSON.
     """
+    from hybrid_jax.export.files import refuse_ending, write_plan  # noqa: PLC0415
+
+    refuse_ending(out)
     enable_compile_cache()
     import jax  # noqa: PLC0415
 
-    from hybrid_jax.export import to_joint_trajectory, write_json  # noqa: PLC0415
     from hybrid_jax.planner.loading import load_planner  # noqa: PLC0415
     from hybrid_jax.planner.pipeline import plan_motion  # noqa: PLC0415
+    from hybrid_jax.progress import working  # noqa: PLC0415
     from hybrid_jax.runfolder import open_run  # noqa: PLC0415
     from hybrid_jax.skills.tasks import read_task  # noqa: PLC0415
     from hybrid_jax.types import Status  # noqa: PLC0415
 
     opened = open_run(run)
-    wanted = read_task(opened.cell, task)
-    result = plan_motion(load_planner(opened), wanted, key=jax.random.key(seed))
-    write_json(out, to_joint_trajectory(opened.cell, wanted, result))
-    print(f"{result.status.name}: {result.detail}")
+    wanted, planner = read_task(opened.cell, task), load_planner(opened)
+    with working("plan", "planning (a first time also compiles)", quiet):
+        result = plan_motion(planner, wanted, key=jax.random.key(seed))
+    write_plan(out, opened.cell, wanted, result)
+    seconds = round(sum(float(t.times[-1]) for t in result.phases), 3)
+    values = {
+        "status": result.status.name,
+        "detail": result.detail,
+        "skills": result.skills,
+        "motion_seconds": seconds,
+        "shares": {source.name: round(share, 3) for source, share in result.shares.items()},
+        "file": str(out) if out.is_file() else None,
+    }
+    answer(f"{result.status.name}: {result.detail}", values, json)
     return 0 if result.status is Status.OK else 1
 
 
 if __name__ == "__main__":
-    run_cli(main)
+    run_main(main)

@@ -30,4 +30,4 @@ def engine_messages(name: str) -> Iterator[None]:
         mujoco.set_mju_user_warning(None)
         for text in heard:
             if not _HARMLESS.match(text):
-                print(f"MuJoCo on {name}: {text}")
+                print(f"MuJoCo on {name}: {text}", file=sys.stderr)

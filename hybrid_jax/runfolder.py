@@ -4,6 +4,7 @@
 import dataclasses
 import json
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,8 @@ class Run:
     """Folder of demonstrations; the shipped ones where None."""
     workcell: str = ""
     """Name or file that the cell was loaded by."""
+    listener: Callable[[str, dict], None] | None = None
+    """Told the stage and the values of every line of metrics."""
 
     @property
     def preset(self) -> Preset:
@@ -52,17 +55,33 @@ class Run:
         return artifacts.load(self.path(name), kind, self.cell.source.digest)
 
     def log(self, stage: str, values: dict) -> None:
-        """Append one line to the stage's metrics."""
-        with self.path(f"{stage}.jsonl").open("a") as file:
-            file.write(json.dumps(values) + "\n")
+        """Append one line to the stage's metrics, and tell the listener."""
+        with self.path(f"{stage}.jsonl").open("ab+") as file:
+            if file.tell():
+                file.seek(-1, os.SEEK_END)
+            torn = file.read(1) not in (b"", b"\n")  # a full disk tore the last line
+            file.write(b"\n" * torn + json.dumps(values).encode() + b"\n")
+        if self.listener:
+            self.listener(stage, values)
 
     def metrics(self, stage: str) -> list[dict]:
-        """Metrics logged so far; the later of two lines for the same step counts."""
+        """Metrics logged so far; the later of two lines for the same step counts.
+
+        A line that a full disk or a power cut tore is left out.
+        """
         path = self.path(f"{stage}.jsonl")
         if not path.is_file():
             return []
-        rows = [json.loads(line) for line in path.read_text().splitlines()]
-        return list({row["step"]: row for row in rows}.values())
+        rows = map(_metrics_of, path.read_text(errors="replace").splitlines())
+        return list({row["step"]: row for row in rows if row}.values())
+
+
+def _metrics_of(line: str) -> dict | None:
+    try:
+        row = json.loads(line)
+    except ValueError:
+        return None
+    return row if isinstance(row, dict) and "step" in row else None
 
 
 def _free_folder(parent: Path, name: str) -> Path:
@@ -108,9 +127,7 @@ def create_run(
         "skills": str(skills.resolve()) if skills else None,
         "configuration": dataclasses.asdict(PRESETS[preset]),
     }
-    partial = folder / "config.json.partial"
-    partial.write_text(json.dumps(values, indent=1))
-    os.replace(partial, folder / "config.json")
+    artifacts.write_text(folder / "config.json", json.dumps(values, indent=1))
     return Run(folder, cell, preset, seed, skills and skills.resolve(), source)
 
 

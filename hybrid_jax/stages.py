@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""The stages of a training run: map, three agents, demonstration. Each leaves files in the run."""
+"""The stages of a training run: map, three agents, demonstration. Each leaves files in the run.
+
+What a stage is known to be finished by is written last: it can be stopped at any moment.
+"""
 
 import functools
 import json
@@ -13,7 +16,7 @@ import numpy as np
 from hybrid_jax import artifacts, film, pictures
 from hybrid_jax.agents import controllers, dqn, joint, switching
 from hybrid_jax.agents.segments import Segments, refuse_infeasible, with_room
-from hybrid_jax.checkpoints import train_agent
+from hybrid_jax.checkpoints import discard, train_agent
 from hybrid_jax.demonstrating import show
 from hybrid_jax.feasibility import building
 from hybrid_jax.feasibility.judging import Reason
@@ -26,6 +29,7 @@ from hybrid_jax.runfolder import Run
 from hybrid_jax.skills.costs import SegmentCosts, pad_task, segment_costs
 from hybrid_jax.skills.segmentation import optimal_costs
 from hybrid_jax.skills.tasks import random_task
+from hybrid_jax.terminal import remark
 from hybrid_jax.types import Source
 
 TRAINING_TASKS = 1_000_000
@@ -41,13 +45,13 @@ def run_map(run: Run, quiet: bool) -> dict:
     """Feasibility map (Algorithm 1, line 3)."""
     progress = Progress("map", "poses", quiet)
     fmap = building.build_feasibility_map(
-        run.cell, run.preset.map, seed=run.seed, progress=progress
+        run.cell, run.preset.map, seed=run.seed, progress=progress, partial=run.path("map_blocks")
     )
     pictures.draw_map(run.path("map.png"), fmap)
-    building.save_map(run.path("map.npz"), run.cell, fmap)
     counts = np.bincount(np.asarray(fmap.reason).ravel(), minlength=len(Reason))
     shares = {r.name.lower(): round(float(counts[r] / counts.sum()), 4) for r in Reason}
     run.log("map", {"step": int(counts.sum()), **shares})
+    building.save_map(run.path("map.npz"), run.cell, fmap)
     return {"poses": int(counts.sum()), "feasible": shares["feasible"]}
 
 
@@ -83,7 +87,6 @@ def run_lfd(run: Run, quiet: bool) -> dict:
         }
         run.log("lfd", row)
         progress(done, chunk * (config.rounds // chunk), f"solved {row['solved']:.2f}")
-    run.save("lfd.npz", "hierarchical DQN", state.params)
     pictures.draw_curves(
         run.path("lfd.png"),
         run.metrics("lfd"),
@@ -91,6 +94,7 @@ def run_lfd(run: Run, quiet: bool) -> dict:
         "episodes",
         ("reward", "cost_over_optimum"),
     )
+    run.save("lfd.npz", "hierarchical DQN", state.params)
     return {"held_out_solved": row["solved"], "cost_over_optimum": row["cost_over_optimum"]}
 
 
@@ -143,7 +147,6 @@ def run_drl(run: Run, quiet: bool) -> dict:
         "drl",
         {"step": config.training.steps + 1, "held_out_single": single, "held_out_best_of_16": best},
     )
-    run.save("drl.npz", "joint agent", policy)
     pictures.draw_curves(
         run.path("drl.png"),
         run.metrics("drl"),
@@ -151,6 +154,8 @@ def run_drl(run: Run, quiet: bool) -> dict:
         "environment steps",
         ("success", "reward"),
     )
+    run.save("drl.npz", "joint agent", policy)
+    discard(run, "drl")
     return {
         "segments": int(segments.start.shape[0]),
         "held_out_single": round(single, 3),
@@ -166,7 +171,7 @@ def combined_problems(run: Run, quiet: bool) -> switching.Combined:
     tasks, key = [random_task(cell, number) for number in numbers], jax.random.key(run.seed)
     found = combined_phases(planner, tasks, key)
     if not found:
-        print("switch: the joint agent bridged no training segment (train it for longer); the "
+        remark("switch: the joint agent bridged no training segment (train it for longer); the "
               "switching agent sees the skills' motions alone")  # fmt: skip
         found = combined_phases(replace(planner, bridge=None), tasks, key)
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *found)
@@ -189,7 +194,6 @@ def run_switch(run: Run, quiet: bool) -> dict:
             for i in range(count)
         ]
     )
-    run.save("switch.npz", "switching agent", policy)
     pictures.draw_curves(
         run.path("switch.png"),
         run.metrics("switch"),
@@ -197,6 +201,8 @@ def run_switch(run: Run, quiet: bool) -> dict:
         "environment steps",
         ("reward",),
     )
+    run.save("switch.npz", "switching agent", policy)
+    discard(run, "switch")
     return {
         "problems": count,
         "reward": round(float(np.mean(reward)), 2),
@@ -211,7 +217,7 @@ def run_demo(run: Run, quiet: bool) -> dict:
     for row in rows:
         run.log("demo", row)
         if not quiet:
-            print(f"demo    {row['name']}: {row['cause'] or 'done'} {row['detail']}".rstrip())
+            remark(f"demo    {row['name']}: {row['cause'] or 'done'} {row['detail']}".rstrip())
     film.save(run.path("demo"), film.render(run.cell.model, shown.frames))
     both = [r["success"] and 0 < r["shares"].get(Source.DRL.name, 0) < 1 for r in rows]
     summary = {
@@ -220,7 +226,8 @@ def run_demo(run: Run, quiet: bool) -> dict:
         "done_by_both_agents": sum(both),
         "touched": shown.touched,
     }
-    run.path("demo.json").write_text(json.dumps({"summary": summary, "objects": rows}, indent=1))
+    text = json.dumps({"summary": summary, "objects": rows}, indent=1)
+    artifacts.write_text(run.path("demo.json"), text)
     return summary
 
 

@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: MIT
 """Train a cell: `python -m hybrid_jax.train [STAGE ...] [--workcell NAME] [--resume]`."""
 
-import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
 from hybrid_jax.compilecache import enable_compile_cache
-from hybrid_jax.errors import HybridJaxError, UnknownNameError
+from hybrid_jax.errors import UnknownNameError
+from hybrid_jax.terminal import STOPPED, answer, remark, run_main
 
 
 def main(
@@ -21,7 +22,9 @@ def main(
     out: Path | None = None,
     skills: Path | None = None,
     resume: bool = False,
+    tensorboard: bool = False,
     quiet: bool = False,
+    json: bool = False,
 ) -> int:
     """Feasibility map, three agents, and a planned and executed demonstration.
 
@@ -33,13 +36,14 @@ def main(
         out: folder of the run; runs/CELL-NNN if not given.
         skills: folder of demonstrations to plan with; the shipped ones if not given.
         resume: go on with the run in --out, or with the newest run of the cell.
+        tensorboard: write the metrics for TensorBoard as well, into RUN/tensorboard.
         quiet: print the summary only.
+        json: print the summary as JSON.
     """
     enable_compile_cache()
     # JAX is imported only now: --help and a mistyped name answer at once
     from hybrid_jax import runfolder  # noqa: PLC0415
     from hybrid_jax.devices import use_all_cores  # noqa: PLC0415
-    from hybrid_jax.stages import STAGE_FUNCTIONS  # noqa: PLC0415
     from hybrid_jax.workcell.assets import default_workcell  # noqa: PLC0415
 
     use_all_cores()
@@ -52,43 +56,49 @@ def main(
         if resume
         else runfolder.create_run(workcell, preset, seed, out, skills)
     )
-    print(f"run folder: {run.folder}", flush=True)
+    if not quiet:
+        remark(f"run folder: {run.folder}")
+    if tensorboard:
+        from hybrid_jax.tensorboard import board  # noqa: PLC0415
+
+        run = replace(run, listener=board(run.path("tensorboard")))
+    wanted = stages or [s for s in runfolder.STAGES if not (resume and run.finished(s))]
+    rows = run_stages(run, [s for s in runfolder.STAGES if s in wanted], quiet)
+    answer(summary(rows), {"run": str(run.folder), "stages": rows}, json)
+    return STOPPED if rows and rows[-1].get("stopped") else 0
+
+
+def run_stages(run, stages: list[str], quiet: bool) -> list[dict]:
+    """Run stages in order; one row for each. Ctrl-C ends them with a row that says so."""
+    from hybrid_jax.stages import STAGE_FUNCTIONS  # noqa: PLC0415
+
     rows = []
-    for stage in runfolder.STAGES:
-        wanted = stage in stages if stages else not (resume and run.finished(stage))
-        if not wanted:
-            continue
+    for stage in stages:
         began = time.perf_counter()
         try:
             result = STAGE_FUNCTIONS[stage](run, quiet)
         except KeyboardInterrupt:
-            print(
+            remark(
                 f"\nstopped in stage {stage!r}; go on with: python -m hybrid_jax.train --resume "
-                f"--out {run.folder}",
-                flush=True,
+                f"--out {run.folder}"
             )
-            return 130
-        rows.append((stage, time.perf_counter() - began, result))
-    print_summary(rows)
-    return 0
+            result = {"stopped": True}
+        rows.append({"stage": stage, "seconds": round(time.perf_counter() - began, 1), **result})
+        if "stopped" in result:
+            break
+    return rows
 
 
-def print_summary(rows: list[tuple[str, float, dict]]) -> None:
+def summary(rows: list[dict]) -> str:
     """One line a stage."""
-    print("\nstage    time [s]  result")
-    for stage, seconds, result in rows:
-        text = ", ".join(f"{k.replace('_', ' ')} {v}" for k, v in result.items())
-        print(f"{stage:7s} {seconds:9.1f}  {text}")
+    lines = ["stage    time [s]  result"]
+    for row in rows:
+        named = (f"{k.replace('_', ' ')} {v}" for k, v in row.items() if k not in _FIRST)
+        lines.append(f"{row['stage']:7s} {row['seconds']:9.1f}  {', '.join(named)}")
+    return "\n".join(lines)
 
 
-def run_cli(function) -> None:
-    """Call a command with the terminal's arguments; our errors are one sentence, exit code 2."""
-    try:
-        sys.exit(tyro.cli(function))
-    except HybridJaxError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(2)
-
+_FIRST = ("stage", "seconds")
 
 if __name__ == "__main__":
-    run_cli(main)
+    run_main(main)

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """A work cell in a browser page: its geoms as viser draws them, moved by configurations."""
 
+from collections.abc import Container
+
 import mujoco
 import numpy as np
 import trimesh
@@ -46,16 +48,32 @@ def _colour(model: mujoco.MjModel, geom: int) -> np.ndarray:
 class WebScene:
     """The geoms of a model in a viser scene, one frame for each body."""
 
-    def __init__(self, server: viser.ViserServer, model: mujoco.MjModel):
-        """Draw the model; `show` moves it."""
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        model: mujoco.MjModel,
+        root: str = "/cell",
+        without: Container[int] = (),
+    ):
+        """Draw the model; `show` moves it.
+
+        Args:
+            server: of the scene.
+            model: to draw.
+            root: name of its frame in the scene.
+            without: bodies that are not drawn.
+        """
         self._model, self._data = model, mujoco.MjData(model)
         self._frames = {}
+        self.root = server.scene.add_frame(root, show_axes=False)
         for geom in range(model.ngeom):
-            mesh = _mesh(model, geom)
-            if mesh is None or int(model.geom_group[geom]) in _HIDDEN_GROUPS:
-                continue
             body = int(model.geom_bodyid[geom])
-            name = f"/cell/{body}"
+            if body in without or int(model.geom_group[geom]) in _HIDDEN_GROUPS:
+                continue
+            mesh = _mesh(model, geom)
+            if mesh is None:
+                continue
+            name = f"{root}/{body}"
             if body not in self._frames:
                 self._frames[body] = server.scene.add_frame(name, show_axes=False)
             rgba = _colour(model, geom)

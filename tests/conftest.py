@@ -2,6 +2,7 @@
 """Shared fixtures. The compile cache is on for the run: the same programs recur in many tests."""
 
 import os
+import shutil
 import tempfile
 from pathlib import Path
 
@@ -79,3 +80,34 @@ def shared():
     if not SHARED.is_dir():
         pytest.skip("reference data beside the checkout is absent")
     return SHARED
+
+
+@pytest.fixture(scope="session")
+def smoke_run(tmp_path_factory):
+    """Folder of a complete run of the smoke preset; tests that change it take a copy."""
+    from hybrid_jax import train
+
+    folder = tmp_path_factory.mktemp("runs") / "smoke"
+    assert train.main(preset="smoke", out=folder, quiet=True) == 0
+    return folder
+
+
+@pytest.fixture
+def browser():
+    """Headless Chromium; must be there where CI runs."""
+    webdriver = pytest.importorskip("selenium.webdriver")
+    chromium, driver = shutil.which("chromium"), shutil.which("chromedriver")
+    if not (chromium and driver):
+        assert not os.environ.get("CI"), "CI must have Chromium and its driver"
+        pytest.skip("Chromium or chromedriver is not installed")
+    options = webdriver.ChromeOptions()
+    options.binary_location = chromium
+    for flag in (
+        "--headless=new", "--no-sandbox", "--window-size=1000,700", "--use-angle=swiftshader",
+        "--enable-unsafe-swiftshader", "--disable-dev-shm-usage",
+    ):  # fmt: skip
+        options.add_argument(flag)
+    service = webdriver.ChromeService(executable_path=driver)
+    opened = webdriver.Chrome(options=options, service=service)
+    yield opened
+    opened.quit()

@@ -67,6 +67,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(cell, tmp_path, monkeypatch, 
     assert int(resumed.learner.iteration[0]) == 6
     each = config.steps_per_iteration
     assert [row["step"] for row in stopped.metrics("drl")] == [each * i for i in range(1, 7)]
+    checkpoints.discard(stopped, "drl")
     assert not stopped.path("drl_checkpoint.npz").is_file()
 
 

@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: MIT
 """The teach page: the recorder by itself, and the page in a real headless Chromium."""
 
-import os
-import shutil
 import time
 
 import numpy as np
 import pytest
+from pages import press, says, wait_for
 from scipy.spatial.transform import Rotation
 
 from hybrid_jax.errors import DemonstrationError
@@ -41,27 +40,6 @@ def test_nothing_recorded_is_refused_by_a_sentence(cell):
 
 
 @pytest.fixture
-def browser():
-    """Headless Chromium; must be there where CI runs."""
-    webdriver = pytest.importorskip("selenium.webdriver")
-    chromium, driver = shutil.which("chromium"), shutil.which("chromedriver")
-    if not (chromium and driver):
-        assert not os.environ.get("CI"), "CI must have Chromium and its driver"
-        pytest.skip("Chromium or chromedriver is not installed")
-    options = webdriver.ChromeOptions()
-    options.binary_location = chromium
-    for flag in (
-        "--headless=new", "--no-sandbox", "--window-size=1000,700", "--use-angle=swiftshader",
-        "--enable-unsafe-swiftshader", "--disable-dev-shm-usage",
-    ):  # fmt: skip
-        options.add_argument(flag)
-    service = webdriver.ChromeService(executable_path=driver)
-    opened = webdriver.Chrome(options=options, service=service)
-    yield opened
-    opened.quit()
-
-
-@pytest.fixture
 def page(cell, tmp_path):
     pytest.importorskip("viser")
     from hybrid_jax.teach.page import TeachPage
@@ -69,28 +47,6 @@ def page(cell, tmp_path):
     opened = TeachPage(cell, tmp_path / "skills", "test arm", port=8123)
     yield opened
     opened.close()
-
-
-def wait_for(condition, seconds=40.0):
-    """The first true value of a condition."""
-    until = time.monotonic() + seconds
-    while time.monotonic() < until:
-        found = condition()
-        if found:
-            return found
-        time.sleep(0.1)
-    raise AssertionError("waited in vain")
-
-
-def press(browser, label):
-    """Click the button with this text."""
-    found = wait_for(lambda: browser.find_elements("xpath", f"//button[.//*[text()='{label}']]"))
-    found[0].click()
-
-
-def says(browser, text):
-    """Wait until the page shows a text."""
-    return wait_for(lambda: text in browser.find_element("tag name", "body").text)
 
 
 def pixel(page, point, size):

@@ -55,7 +55,8 @@ class JointAgentConfig:
     refuses: three is what it trains with."""
 
 
-def _world_kind(config: JointAgentConfig) -> type[ReachWorld] | type[PaperReachWorld]:
+def world_kind(config: JointAgentConfig) -> type[ReachWorld] | type[PaperReachWorld]:
+    """The world that a configuration's rules are of."""
     return PaperReachWorld if isinstance(config.reach, PaperReachConfig) else ReachWorld
 
 
@@ -63,7 +64,7 @@ def make_world(
     cell: Workcell, segments: Segments, config: JointAgentConfig
 ) -> ReachWorld | PaperReachWorld:
     """The world of the agent with some segments."""
-    return _world_kind(config)(cell, segments, config.reach)
+    return world_kind(config)(cell, segments, config.reach)
 
 
 def planning_world(
@@ -77,7 +78,7 @@ def planning_world(
 
 def observation_length(cell: Workcell, config: JointAgentConfig) -> int:
     """How many numbers the agent sees."""
-    return _world_kind(config).observation_length(cell)
+    return world_kind(config).observation_length(cell)
 
 
 def make_net(cell: Workcell, config: JointAgentConfig) -> networks.ActorCritic:

@@ -8,12 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Float
+from scipy.spatial.transform import RigidTransform
 
 from hybrid_jax.planner.checking import PhaseScene
-from hybrid_jax.skills.handling import object_in_tool, place_pose, require_handling
+from hybrid_jax.skills.handling import object_in_tool, require_handling
 from hybrid_jax.skills.scenes import require_task_data
 from hybrid_jax.skills.task import Task
-from hybrid_jax.types import Scene, Workcell, WorkcellSource
+from hybrid_jax.types import Scene, Workcell
 from hybrid_jax.workcell import scene as scenes
 from hybrid_jax.workcell.geometry import as_row, pose_of
 from hybrid_jax.workcell.layout import home_qpos
@@ -31,22 +32,19 @@ def segment_kinds(task: Task) -> np.ndarray:
     return kinds
 
 
-def placed_pose(cell: Workcell, name: str) -> np.ndarray:
-    """`[7]` where an object lies once it has been let go."""
-    return _placed_pose(cell.source, name).copy()
-
-
-@functools.lru_cache(maxsize=256)
-def _placed_pose(source: WorkcellSource, name: str) -> np.ndarray:
-    spec = source.task.object(name)
-    row = object_in_tool(spec)
-    return as_row(place_pose(source, spec) * pose_of(row[:3], row[3:]))
+def placed_pose(cell: Workcell, task: Task) -> np.ndarray:
+    """`[7]` where the object of a task that carries lies once it has been let go."""
+    last = task.key_poses[1 + int(np.flatnonzero(task.carrying)[-1])]
+    hangs = object_in_tool(require_handling(cell).object(task.object_name), task.grasp)
+    tool = RigidTransform.from_dual_quat(last.astype(float), scalar_first=True)
+    return as_row(tool * pose_of(hangs[:3], hangs[3:]))
 
 
 @functools.partial(jax.jit, static_argnames=("name", "grasp", "support"))
 def kind_scenes(
     cell: Workcell,
     poses: Float[Array, "object 7"],
+    put: Float[Array, "7"],
     *,
     name: str,
     grasp: int,
@@ -57,6 +55,7 @@ def kind_scenes(
     Args:
         cell: any scene of the cell.
         poses: where the objects lie at first.
+        put: where the carried one lies in the end.
         name: object to be carried.
         grasp: which of its grasps is used.
         support: fixtures that it may touch where it is lifted and put down.
@@ -66,8 +65,8 @@ def kind_scenes(
     before = scenes.with_opening(scenes.place_objects(cell, poses), data.gripper.open)
     hangs = jnp.asarray(object_in_tool(spec, grasp), jnp.float32)
     held = scenes.with_opening(scenes.attach(before, name, hangs), spec.grip)
-    put = poses.at[index].set(jnp.asarray(placed_pose(cell, name), poses.dtype))
-    after = scenes.with_opening(scenes.place_objects(cell, put), data.gripper.open)
+    moved = poses.at[index].set(put)
+    after = scenes.with_opening(scenes.place_objects(cell, moved), data.gripper.open)
     low, high = scenes.with_support(held, support), scenes.with_support(held, ())
     return stack_scenes([c.scene for c in (before, low, after, high)])
 
@@ -90,8 +89,9 @@ def task_scenes(cell: Workcell, task: Task) -> Scene:
     if not any(task.carrying):
         one, count = jax.device_get(_resting_scene(cell, poses)), len(task.carrying)
         return jax.tree.map(lambda a: np.broadcast_to(a, (count, *a.shape)), one)
+    put = jnp.asarray(placed_pose(cell, task), jnp.float32)
     found = kind_scenes(
-        cell, poses, name=task.object_name, grasp=task.grasp, support=task.support
+        cell, poses, put, name=task.object_name, grasp=task.grasp, support=task.support
     )
     found, kinds = jax.device_get(found), segment_kinds(task)
     return jax.tree.map(lambda a: a[kinds], found)
@@ -102,7 +102,7 @@ def phase_scene(cell: Workcell, task: Task, kind: int) -> PhaseScene:
     poses = np.array(task.object_poses)
     if kind == LEAVING:
         index = cell.source.layout.object_names.index(task.object_name)
-        poses[index] = placed_pose(cell, task.object_name)
+        poses[index] = placed_pose(cell, task)
     if kind in (REACHING, LEAVING):
         return PhaseScene(poses, _open(cell), None, None, ())
     spec = require_handling(cell).object(task.object_name)

@@ -206,7 +206,7 @@ class Execution:
         row = OBJECTS + self.object
         allowed[row] = allowed[OBJECTS:, self.object] = False
         position = self.plant.objects()[self.object, :3]
-        ends = self.seen[self.object], placed_pose(self.plant.sensed.cell, self.task.object_name)
+        ends = self.seen[self.object], placed_pose(self.plant.sensed.cell, self.task)
         for support, end in zip(self.task.support, ends, strict=True):
             allowed[row, things.index(support)] = (
                 np.linalg.norm(position - end[:3]) < self.config.near

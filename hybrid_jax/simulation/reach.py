@@ -111,7 +111,25 @@ class ReachWorld:
     @staticmethod
     def observation_length(cell: Workcell) -> int:
         """Length of an observation in a cell."""
-        return 3 * cell.home.size + 18 + 2 + 4 * cell.scene.payload.count
+        return sum(count for _, count in ReachWorld.observation_parts(cell))
+
+    @staticmethod
+    def observation_parts(cell: Workcell) -> tuple[tuple[str, int], ...]:
+        """What an observation consists of, in order: sentence and how many numbers."""
+        joints, slots = cell.home.size, cell.scene.payload.count
+        return (
+            ("joint configuration over pi", joints),
+            ("goal configuration minus it [rad]", joints),
+            ("the same over the largest step, clipped to -1..1", joints),
+            ("tool position in the world [m]", 3),
+            ("first two columns of the tool's rotation matrix", 6),
+            ("goal position in the tool's frame [m]", 3),
+            ("first two columns of the goal's rotation matrix in the tool's frame", 6),
+            ("clearance of the last move over 5 cm, clipped to -1..1", 1),
+            ("was the last move refused? 0 or 1", 1),
+            ("is each slot of the payload in use? 0 or 1", slots),
+            ("half extents of each slot's box [dm]", 3 * slots),
+        )
 
     def _scene(self, segment: Array) -> Workcell:
         scene = jax.tree.map(lambda a: a[segment], self.segments.scene)

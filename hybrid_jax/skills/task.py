@@ -51,6 +51,12 @@ class Task:
         return list(zip(cuts[:-1], cuts[1:], strict=True))
 
     @property
+    def given(self) -> slice:
+        """Key poses that whoever sets the task chooses: all but where the tool is now, and where an
+        end that is given as a configuration leads."""
+        return slice(1, len(self.key_poses) - (self.end is not None))
+
+    @property
     def shown(self) -> tuple[np.ndarray, tuple[bool, ...]]:
         """Key poses and carrying flags of what skills must cover: all but a transit."""
         first = int(self.transit)
@@ -78,6 +84,12 @@ def upright(position, yaw: float) -> RigidTransform:
 def home_pose(cell: Workcell) -> np.ndarray:
     """Tool pose `[8]` of the arm at home."""
     return np.asarray(tool_pose(cell, cell.home))
+
+
+def as_rows(poses: np.ndarray) -> np.ndarray:
+    """`[pose, 7]` position [m] and quaternion, from `[pose, 8]`."""
+    found = [RigidTransform.from_dual_quat(p.astype(float), scalar_first=True) for p in poses]
+    return np.stack([as_row(pose) for pose in found])
 
 
 def as_dual_quats(poses: Sequence[RigidTransform]) -> np.ndarray:

@@ -2,17 +2,24 @@
 """Tasks of a cell, of whatever kind its data say: made to order, random, or read from a file."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from hybrid_jax.errors import TaskError
-from hybrid_jax.skills.handling import handling_task, random_handling_task
+from hybrid_jax.skills.handling import (
+    handling_task,
+    object_in_tool,
+    random_handling_task,
+    require_handling,
+)
 from hybrid_jax.skills.inspection import inspection_task, random_inspection_task
 from hybrid_jax.skills.scenes import require_task_data, sample_scene
-from hybrid_jax.skills.task import Task
+from hybrid_jax.skills.task import Task, as_dual_quats, as_rows
 from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.description import Handling, Inspection
+from hybrid_jax.workcell.geometry import as_row, pose_of
 
 _MAKERS = {Handling: handling_task, Inspection: inspection_task}
 _RANDOM = {Handling: random_handling_task, Inspection: random_inspection_task}
@@ -34,8 +41,39 @@ def random_task(cell: Workcell, seed: int) -> Task:
     return _RANDOM[type(require_task_data(cell))](cell, seed)
 
 
+def with_key_poses(cell: Workcell, task: Task, rows: np.ndarray) -> Task:
+    """A task with other key poses; an object that is carried lies where it is grasped.
+
+    Args:
+        cell: of the task.
+        task: whose key poses `Task.given` are replaced.
+        rows: `[pose, 7]` tool poses: position [m], unit quaternion.
+    """
+    poses, objects = task.key_poses.copy(), task.object_poses.copy()
+    tools = [pose_of(row[:3], row[3:]) for row in rows]
+    poses[task.given] = as_dual_quats(tools)
+    if any(task.carrying):
+        spec = require_handling(cell).object(task.object_name)
+        hangs = object_in_tool(spec, task.grasp)
+        grasp = tools[task.carrying.index(True) - 1]
+        index = cell.source.layout.object_names.index(task.object_name)
+        objects[index] = as_row(grasp * pose_of(hangs[:3], hangs[3:]))
+    return replace(task, key_poses=poses, object_poses=objects)
+
+
+def task_values(task: Task) -> dict:
+    """What `read_task` makes the same task of."""
+    return {
+        "object": task.object_name,
+        "object_poses": np.round(task.object_poses.astype(float), 6).tolist(),
+        "key_poses": np.round(as_rows(task.key_poses[task.given]), 6).tolist(),
+    }
+
+
 def read_task(cell: Workcell, path: Path) -> Task:
     """Read a task file: JSON with `object`, and `scene_seed` or `object_poses`.
+
+    `key_poses` replaces the key poses that follow from the cell's data, see `with_key_poses`.
 
     Raises:
         TaskError: unreadable, or a field that is missing or of the wrong shape.
@@ -44,16 +82,41 @@ def read_task(cell: Workcell, path: Path) -> Task:
         values = json.loads(path.read_text())
     except (OSError, ValueError) as error:
         raise TaskError(f"{path}: {error}") from None
-    if not isinstance(values, dict) or "object" not in values:
+    known = ("object", "scene_seed", "object_poses", "key_poses")
+    if not isinstance(values, dict) or not isinstance(values.get("object"), str):
         raise TaskError(f"{path}: needs a field 'object' with the name of an object")
+    if unknown := set(values) - set(known):
+        raise TaskError(f"{path}: unknown field {min(unknown)!r}; there are: {', '.join(known)}")
     if "object_poses" in values:
-        poses = np.asarray(values["object_poses"], np.float32)
-        wanted = (len(cell.source.layout.object_names), 7)
-        if poses.shape != wanted or not np.isfinite(poses).all():
-            raise TaskError(
-                f"{path}: object_poses must be {wanted[0]} finite rows of x, y, z, "
-                f"qw, qx, qy, qz, got shape {poses.shape}"
-            )
+        count = len(cell.source.layout.object_names)
+        poses = _rows(path, "object_poses", values["object_poses"], count)
     else:
-        poses = sample_scene(cell, int(values.get("scene_seed", 0)))
-    return make_task(cell, values["object"], poses)
+        poses = sample_scene(cell, _seed(path, values.get("scene_seed", 0)))
+    task = make_task(cell, values["object"], poses)
+    if "key_poses" not in values:
+        return task
+    count = len(task.key_poses[task.given])
+    return with_key_poses(cell, task, _rows(path, "key_poses", values["key_poses"], count))
+
+
+def _seed(path: Path, value) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**63:
+        raise TaskError(f"{path}: scene_seed must be a whole number from 0 on, got {value!r}")
+    return value
+
+
+def _rows(path: Path, field: str, values, count: int) -> np.ndarray:
+    """Poses of a file, `[count, 7]`, with unit quaternions."""
+    what = f"{path}: {field} must be {count} finite rows of x, y, z [m], qw, qx, qy, qz"
+    try:
+        rows = np.asarray(values, np.float32)
+    except (TypeError, ValueError, OverflowError):
+        raise TaskError(f"{what}, got {str(values)[:60]}") from None
+    if rows.shape != (count, 7) or not np.isfinite(rows).all():
+        raise TaskError(f"{what}, got shape {rows.shape}")
+    lengths = np.linalg.norm(rows[:, 3:], axis=1, keepdims=True)
+    if (np.abs(lengths - 1) > 0.01).any():
+        raise TaskError(f"{what}: the quaternion of row {int(np.argmax(abs(lengths - 1)))} "
+                        "has not length 1")  # fmt: skip
+    rows[:, 3:] /= lengths
+    return rows

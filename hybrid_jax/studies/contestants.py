@@ -18,6 +18,7 @@ from hybrid_jax.simulation.disturbances import CALM, DISTURBED, Disturbance
 from hybrid_jax.simulation.runs import planning
 from hybrid_jax.skills.task import Task
 from hybrid_jax.studies.rivals import paper_run, whole_space_agent
+from hybrid_jax.terminal import remark
 
 METHODS = {
     "hybrid": "skills and joint agent, as the planner is used",
@@ -111,7 +112,7 @@ def _ompl(planner: Planner) -> Contestant | None:
     try:
         from hybrid_jax.planner.ompl_tasks import OmplTasks  # noqa: PLC0415
     except ImportError as error:
-        print(f"ompl: left out, {error.name} is not installed (pip install 'hybrid_jax[ompl]')")
+        remark(f"ompl: left out, {error.name} is not installed (pip install 'hybrid_jax[ompl]')")
         return None
     tasks = OmplTasks(planner, planner.config.smoothing.margin)  # as much as our own paths keep
     return Contestant("ompl", planner, one_by_one(lambda _, task, key: tasks.plan(task, key)))

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from hybrid_jax.agents import joint
 from hybrid_jax.agents.segments import free_pairs
-from hybrid_jax.checkpoints import train_agent
+from hybrid_jax.checkpoints import discard, train_agent
 from hybrid_jax.planner.loading import load_bridger
 from hybrid_jax.planner.records import Planner
 from hybrid_jax.runfolder import Run, create_run, open_run
@@ -23,6 +23,7 @@ def whole_space_agent(run: Run, planner: Planner) -> Planner:
         net = joint.make_net(cell, config)
         state = train_agent(run, "alone", world, net, config.training, False)
         run.save("alone.npz", "joint agent", state.policy())
+        discard(run, "alone")
     return replace(planner, bridge=load_bridger(run, "alone.npz"))
 
 

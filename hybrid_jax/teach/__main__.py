@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: MIT
 """Record demonstrations in the browser: `python -m hybrid_jax.teach --workcell NAME`."""
 
-import sys
 import time
 from pathlib import Path
 
 from hybrid_jax.errors import HybridJaxError
-from hybrid_jax.train import run_cli
+from hybrid_jax.terminal import remark, run_main
 
 
 def main(
@@ -36,15 +35,15 @@ def main(
 
     cell = load_workcell(workcell or default_workcell())
     page = TeachPage(cell, library, robot or cell.source.name, host, port)
-    print(f"open {page.address} in a browser; Ctrl-C ends it", flush=True)
+    remark(f"open {page.address} in a browser; Ctrl-C ends it")
     try:
         while True:
             time.sleep(1.0)
     except KeyboardInterrupt:
         page.close()
-        print(f"\ndemonstrations are in {library}", file=sys.stderr)
+        remark(f"\ndemonstrations are in {library}")
         return 0
 
 
 if __name__ == "__main__":
-    run_cli(main)
+    run_main(main)

@@ -6,7 +6,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-import viser
 
 from hybrid_jax.errors import HybridJaxError
 from hybrid_jax.skills.cleaning import continuous_signs, low_pass
@@ -18,6 +17,7 @@ from hybrid_jax.skills.demonstration import (
 from hybrid_jax.teach.recorder import RATE, Recorder
 from hybrid_jax.types import Workcell
 from hybrid_jax.webscene import WebScene
+from hybrid_jax.webserver import address_of, close_server, open_server
 
 _NONE = "(none yet)"
 
@@ -39,9 +39,7 @@ class TeachPage:
         """
         self.library = library
         self.recorder = Recorder(cell, robot)
-        self.server = viser.ViserServer(
-            host=host, port=port, label="hybrid_jax teach", verbose=False
-        )
+        self.server = open_server(host, port, "hybrid_jax teach")
         self._scene = WebScene(self.server, cell.model)
         self._lock = threading.Lock()
         self._replay: list[np.ndarray] = []
@@ -54,13 +52,13 @@ class TeachPage:
     @property
     def address(self) -> str:
         """Where a browser finds the page."""
-        return f"http://{self.server.get_host()}:{self.server.get_port()}"
+        return address_of(self.server)
 
     def close(self) -> None:
         """Stop following and take the page down."""
         self._closing.set()
         self._thread.join()
-        self.server.stop()
+        close_server(self.server)
 
     def _view(self) -> None:
         tool = self.recorder.tool

@@ -5,7 +5,7 @@ The file's `kind` says what is done in the cell: `handling` or `inspection`.
 """
 
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from hybrid_jax.errors import UnknownNameError, WorkcellError
@@ -23,6 +23,20 @@ class GripperSpec:
     """Opening of each finger when open [m]."""
     squeeze: float
     """Actuator command that closes on any object [m]."""
+
+
+@dataclass(frozen=True)
+class ControllerSpec:
+    """How the robot's controller wants its programs."""
+
+    program: str
+    """Its language: `tp`."""
+    minus: tuple[tuple[str, str], ...] = ()
+    """Pairs of joints: the controller counts the first from the second, not from its link."""
+    close: str = ""
+    """Instruction that closes the gripper."""
+    open: str = ""
+    """Instruction that opens it."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +96,7 @@ class Handling:
     """Height above the tray's floor at which it is let go [m]."""
     trays: tuple[TraySpec, ...]
     objects: tuple[ObjectSpec, ...]
+    controller: ControllerSpec | None = field(default=None, repr=False)
 
     def object(self, name: str) -> ObjectSpec:
         """Object by name."""
@@ -142,6 +157,7 @@ class Inspection:
     """Random tasks begin within so much of home in every joint [rad]."""
     faces: tuple[FaceSpec, ...]
     parts: tuple[PartSpec, ...]
+    controller: ControllerSpec | None = field(default=None, repr=False)
 
     @property
     def objects(self) -> tuple[PartSpec, ...]:
@@ -231,4 +247,7 @@ def read_task_data(path: Path) -> TaskData | None:
     kind = data.pop("kind", "handling")
     if kind not in _READERS:
         raise UnknownNameError(f"kind of task in {path.name}", kind, _READERS)
+    if "controller" in data:
+        table, where = data["controller"], f"{path.name} [controller]"
+        data["controller"] = _record(ControllerSpec, table, where)
     return _READERS[kind](data, path.name)

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: MIT
+"""Read teach-pendant programs (`.ls`) of joint moves: what a controller is going to do."""
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from hybrid_jax.errors import InputError
+
+_SECTIONS = ("/PROG", "/ATTR", "/MN", "/POS", "/END")
+_LINE = re.compile(r"\s*(\d+):\s*(.*?)\s*;")
+_MOVE = re.compile(r"J P\[(\d+)\] (\d+)(%|msec|sec) (FINE|CNT(\d+))")
+_POSITION = re.compile(r"P\[(\d+)\]\{(.*?)\};", re.DOTALL)
+_JOINT = re.compile(r"J(\d+)=\s*(-?\d+\.\d+) deg")
+
+
+@dataclass(frozen=True)
+class TpMove:
+    """One joint move."""
+
+    position: int
+    """Number of the position that it leads to, from 1."""
+    speed: float
+    """Of the arm's full speed [%], or the time that it takes [s]."""
+    timed: bool
+    """Is `speed` a time?"""
+    fine: bool
+    """Does the arm come to rest?"""
+
+
+@dataclass(frozen=True)
+class TpProgram:
+    """A program of joint moves."""
+
+    name: str
+    moves: tuple[TpMove, ...]
+    positions: np.ndarray
+    """`[position, joint]` as the controller counts its joints [degree]."""
+    others: tuple[str, ...]
+    """All other instructions, in order."""
+
+
+def read_tp_program(text: str) -> TpProgram:
+    """Parse a program.
+
+    Args:
+        text: of an `.ls` file.
+
+    Raises:
+        InputError: a section, a number or a position is missing; the message says which.
+    """
+    parts = _sections(text)
+    moves, others = [], []
+    lines = [line for line in parts["/MN"].splitlines() if line.strip()]
+    for number, line in enumerate(lines, 1):
+        found = _LINE.fullmatch(line)
+        if not found or int(found[1]) != number:
+            raise InputError(f"TP program: line {number} of /MN is {line!r}")
+        move = _MOVE.fullmatch(found[2])
+        if move:
+            moves.append(_move_of(move))
+        elif re.match(r"[JLCA] ", found[2]):
+            raise InputError(f"TP program: line {number} of /MN is no joint move: {line!r}")
+        else:
+            others.append(found[2])
+    _check_count(parts["/ATTR"], len(lines))
+    positions = _positions(parts["/POS"])
+    for move in moves:
+        if not 1 <= move.position <= len(positions):
+            raise InputError(f"TP program: a move leads to P[{move.position}], which is missing")
+    return TpProgram(parts["/PROG"].strip(), tuple(moves), positions, tuple(others))
+
+
+def _sections(text: str) -> dict[str, str]:
+    places = [text.find(name) for name in _SECTIONS]
+    if -1 in places or places != sorted(places):
+        missing = [n for n, place in zip(_SECTIONS, places, strict=True) if place < 0]
+        raise InputError(f"TP program: sections missing or not in order: {missing or _SECTIONS}")
+    return {
+        name: text[place + len(name) : after]
+        for name, place, after in zip(_SECTIONS, places, [*places[1:], None], strict=True)
+    }
+
+
+def _move_of(found: re.Match) -> TpMove:
+    number, amount, unit = int(found[1]), float(found[2]), found[3]
+    speed = amount / 1e3 if unit == "msec" else amount
+    return TpMove(number, speed, unit != "%", found[4] == "FINE")
+
+
+def _check_count(attributes: str, lines: int) -> None:
+    found = re.search(r"LINE_COUNT\s*=\s*(\d+);", attributes)
+    if not found or int(found[1]) != lines:
+        raise InputError(f"TP program: LINE_COUNT says otherwise than the {lines} lines of /MN")
+
+
+def _positions(text: str) -> np.ndarray:
+    rows = []
+    for number, found in enumerate(_POSITION.finditer(text), 1):
+        joints = _JOINT.findall(found[2])
+        counted = [int(joint) for joint, _ in joints]
+        if int(found[1]) != number or counted != list(range(1, len(joints) + 1)):
+            raise InputError(f"TP program: position {number} is P[{found[1]}] with {joints}")
+        rows.append([float(angle) for _, angle in joints])
+    if not rows or len({len(row) for row in rows}) > 1:
+        raise InputError("TP program: positions are missing or have different numbers of joints")
+    return np.array(rows)

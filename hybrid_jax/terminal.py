@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: MIT
+"""What commands print: answers on stdout, all else on stderr, errors as one sentence.
+
+Exit codes: 0 done; 1 done, and the answer is no (no plan, a cell that is not fit); 2 bad input, or
+a file that cannot be read or written; 70 a defect of this package; 130 stopped by Ctrl-C.
+"""
+
+import json
+import sys
+import traceback
+from collections.abc import Callable
+
+import tyro
+
+from hybrid_jax.errors import HybridJaxError
+
+BAD_INPUT, DEFECT, STOPPED = 2, 70, 130
+
+
+def remark(text: str) -> None:
+    """Say something that is not the answer."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def answer(text: str, values: dict | list, as_json: bool) -> None:
+    """Print what a command was called for: lines for people, or one JSON value for programs."""
+    print(json.dumps(values, indent=1) if as_json else text, flush=True)
+
+
+def run_cli(command: Callable[[], int]) -> None:
+    """Run a command to its exit code; what goes wrong is said in one sentence."""
+    try:
+        code = command()
+    except HybridJaxError as error:
+        remark(f"error: {error}")
+        code = BAD_INPUT
+    except KeyboardInterrupt:
+        remark("\nstopped")
+        code = STOPPED
+    except BrokenPipeError:  # the reader of a pipe has gone: nobody is left to tell
+        sys.stderr.close()
+        code = BAD_INPUT
+    except OSError as error:
+        place = f" {error.filename}" if error.filename else ""
+        remark(f"error: cannot read or write{place}: {error.strerror or error}")
+        code = BAD_INPUT
+    except Exception:  # noqa: BLE001  whatever it is, it was not foreseen
+        traceback.print_exc()
+        remark("error: this is a defect of hybrid_jax; please report it with the lines above")
+        code = DEFECT
+    sys.exit(code)
+
+
+def run_main(main: Callable[..., int]) -> None:
+    """`run_cli` of a function that is called with the terminal's arguments."""
+    run_cli(lambda: tyro.cli(main))

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: MIT
+"""The page: one tab each for tasks, map, skills and learning curves, beside the cell."""
+
+import threading
+import time
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from hybrid_jax.errors import HybridJaxError
+from hybrid_jax.feasibility.building import load_map
+from hybrid_jax.planner.loading import load_planner
+from hybrid_jax.planner.pipeline import plan_motion
+from hybrid_jax.planner.records import Planner
+from hybrid_jax.runfolder import Run
+from hybrid_jax.skills.cleaning import clean
+from hybrid_jax.skills.demonstration import load_demonstrations
+from hybrid_jax.skills.task import Task, as_rows
+from hybrid_jax.types import Status
+from hybrid_jax.view.curves import add_curves
+from hybrid_jax.view.mapcloud import MapCloud
+from hybrid_jax.view.motion import RATE, motion_of, resting_qpos
+from hybrid_jax.view.playback import Playback
+from hybrid_jax.view.robotlook import RobotLook, arm_bodies
+from hybrid_jax.view.taskpanel import TaskPanel
+from hybrid_jax.webscene import WebScene
+from hybrid_jax.webserver import address_of, close_server, open_server
+from hybrid_jax.workcell.assets import demonstrations_folder
+
+_NONE = "(none)"
+
+
+class ViewPage:
+    """Serves the page until it is closed."""
+
+    def __init__(
+        self, run: Run, host: str = "127.0.0.1", port: int = 8080, look: Path | None = None
+    ):
+        """Open the page.
+
+        Args:
+            run: to show; what its finished stages left is there.
+            host: address to listen at; only this machine by default.
+            port: the first one that is tried.
+            look: MJCF whose meshes stand for the arm in the picture.
+        """
+        self.run, self.server = run, open_server(host, port, "hybrid_jax view")
+        self._lock, self._closing = threading.Lock(), threading.Event()
+        self._planner: Planner | None = None
+        cell = run.cell
+        self._scene = WebScene(self.server, cell.model, without=arm_bodies(cell) if look else ())
+        self._look = RobotLook(self.server, cell, look) if look else None
+        self._fill()
+        self.server.initial_camera.position = (1.5, -1.1, 1.2)
+        self.server.initial_camera.look_at = (0.35, 0.0, 0.25)
+        self._thread = threading.Thread(target=self._play, daemon=True)
+        self._thread.start()
+
+    @property
+    def address(self) -> str:
+        """Where a browser finds the page."""
+        return address_of(self.server)
+
+    def close(self) -> None:
+        """Take the page down."""
+        self._closing.set()
+        self._thread.join()
+        close_server(self.server)
+
+    def _fill(self) -> None:
+        run, tabs = self.run, self.server.gui.add_tab_group()
+        fmap = load_map(run.path("map.npz"), run.cell) if run.finished("map") else None
+        with tabs.add_tab("Task"):
+            self.status = self.server.gui.add_markdown("")
+            self._task_tab(fmap)
+        with tabs.add_tab("Map"):
+            self.map = MapCloud(self.server, fmap) if fmap is not None else None
+            if fmap is None:
+                self.server.gui.add_markdown("This run has no feasibility map yet.")
+        with tabs.add_tab("Skills"):
+            self._skill_tab()
+        with tabs.add_tab("Learning"):
+            self.curves = add_curves(self.server, run)
+
+    def _task_tab(self, fmap) -> None:
+        gui, cell = self.server.gui, self.run.cell
+        if cell.source.task is None:
+            self.status.content = "This cell has no task data: write CELL.toml beside its MJCF."
+            self.task = self.playback = None
+            self.show(resting_qpos(cell, np.zeros((0, 7)), np.asarray(cell.home)))
+            return
+        self.playback = None
+        self.task = TaskPanel(self.server, cell, fmap, self._new_task)
+        self._plan = gui.add_button("Plan")
+        self._hide = gui.add_checkbox("Hide handles", initial_value=False)
+        self.playback = Playback(self.server, self.show)
+        self._name = gui.add_text("Task file", initial_value="task.json")
+        self._save = gui.add_button("Save task")
+        self._plan.on_click(lambda _: self._guarded(self.plan))
+        self._hide.on_update(lambda _: self.task.hide(self._hide.value))
+        self._save.on_click(lambda _: self._guarded(self._keep))
+        self.status.content = "Choose an object, drag its key poses, plan."
+
+    def _skill_tab(self) -> None:
+        folder = self.run.skills or demonstrations_folder()
+        self._skills = {demo.name: demo for demo in load_demonstrations(folder)}
+        self._skill = self.server.gui.add_dropdown("Skill", options=(_NONE, *self._skills))
+        self._about = self.server.gui.add_markdown(f"{len(self._skills)} demonstrations.")
+        self._skill.on_update(lambda _: self._draw_skill())
+
+    def _guarded(self, action) -> None:
+        """Run a button's action; what goes wrong is said on the page and nothing is lost."""
+        try:
+            with self._lock:
+                self.status.content = action()
+        except (HybridJaxError, OSError) as error:
+            self.status.content = f"**Not done:** {error}"
+
+    def show(self, qpos: np.ndarray) -> None:
+        """Draw a configuration `[nq]`."""
+        with self.server.atomic():
+            self._scene.show(qpos)
+            if self._look:
+                self._look.show(qpos)
+
+    def _new_task(self, task: Task) -> None:
+        """Show where a new task begins; the last plan was of another."""
+        if self.playback:
+            self.playback.load(None)
+        self.show(resting_qpos(self.run.cell, task.object_poses, task.start))
+
+    def plan(self) -> str:
+        """Plan the present task and show the plan; a sentence about it."""
+        self.status.content = "Planning (a first time also compiles) ..."
+        task, began = self.task.task, time.perf_counter()
+        self._planner = self._planner or load_planner(self.run)
+        result = plan_motion(self._planner, task, key=jax.random.key(self.run.seed))
+        took = time.perf_counter() - began
+        if result.status is not Status.OK:
+            self.playback.load(None)
+            return f"**{result.status.name}:** {result.detail}"
+        self.playback.load(motion_of(self.run.cell, task, result))
+        shares = ", ".join(f"{s.name} {x:.0%}" for s, x in result.shares.items() if x)
+        return f"**OK** after {took:.2f} s: {shares}"
+
+    def _keep(self) -> str:
+        return self.task.save(Path(self._name.value.strip()))
+
+    def _draw_skill(self) -> None:
+        demo = self._skills.get(self._skill.value)
+        if demo is None:
+            self.server.scene.remove_by_name("/skill")
+            self._about.content = f"{len(self._skills)} demonstrations."
+            return
+        way = as_rows(clean(demo))[:, :3]
+        self.server.scene.add_spline_catmull_rom(
+            "/skill", way[::4], color=(20, 160, 90), thickness=4.0, thickness_units="screen"
+        )
+        grip = "closed" if demo.closed else "open"
+        self._about.content = (
+            f"**{demo.name}**: {demo.note}, gripper {grip}, {demo.times[-1]:.1f} s, {demo.robot}"
+        )
+
+    def _play(self) -> None:
+        while not self._closing.wait(1 / RATE):
+            if self.playback:
+                self.playback.tick()

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: MIT
+"""A task on the page: choose an object, drag key poses, plan, save."""
+
+import json
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import viser
+
+from hybrid_jax.artifacts import write_text
+from hybrid_jax.errors import TaskError
+from hybrid_jax.feasibility.building import FeasibilityMap
+from hybrid_jax.feasibility.lookup import query
+from hybrid_jax.skills.scenes import sample_scene
+from hybrid_jax.skills.task import Task, as_rows
+from hybrid_jax.skills.tasks import make_task, task_values, with_key_poses
+from hybrid_jax.types import Workcell
+
+
+class TaskPanel:
+    """Holds the task that is being built, and its handles."""
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        cell: Workcell,
+        fmap: FeasibilityMap | None,
+        changed: Callable[[Task], None],
+    ):
+        """Add the controls.
+
+        Args:
+            server: of the page.
+            cell: with task data.
+            fmap: that says of each key pose how feasible it is.
+            changed: told every new task.
+        """
+        self._server, self._cell, self._map, self._changed = server, cell, fmap, changed
+        self._handles: list[viser.TransformControlsHandle] = []
+        self._labels: list[viser.LabelHandle] = []
+        self._lock = threading.RLock()  # the page calls from several threads
+        names = tuple(cell.source.layout.object_names)
+        self.object = server.gui.add_dropdown("Object", options=names)
+        self.scene = server.gui.add_number("Scene", initial_value=0, min=0, step=1)
+        self.again = server.gui.add_button("Reset key poses")
+        self.object.on_update(lambda _: self.reset())
+        self.scene.on_update(lambda _: self.reset())
+        self.again.on_click(lambda _: self.reset())
+        self.reset()
+
+    def reset(self) -> None:
+        """The task that the cell's data say, in the chosen scene."""
+        with self._lock:
+            poses = sample_scene(self._cell, int(self.scene.value))
+            self.task = make_task(self._cell, self.object.value, poses)
+            self._place_handles()
+            self._tell()
+
+    def _place_handles(self) -> None:
+        for handle in self._handles:
+            handle.remove()  # and the label that hangs on it
+        self._handles, self._labels = [], []
+        for number, row in enumerate(as_rows(self.task.key_poses[self.task.given]), 1):
+            handle = self._server.scene.add_transform_controls(
+                f"/key/{number}", scale=0.1, position=row[:3], wxyz=row[3:], depth_test=False
+            )
+            handle.on_update(lambda _: self._dragged())
+            self._handles.append(handle)
+            self._labels.append(self._server.scene.add_label(f"/key/{number}/label", str(number)))
+
+    def _dragged(self) -> None:
+        with self._lock:
+            rows = [np.concatenate([handle.position, handle.wxyz]) for handle in self._handles]
+            self.task = with_key_poses(self._cell, self.task, np.stack(rows))
+            self._tell()
+
+    def _tell(self) -> None:
+        poses = self.task.key_poses[self.task.given]
+        for number, (label, pose) in enumerate(zip(self._labels, poses, strict=True), 1):
+            label.text = f"{number}{self._feasibility(pose)}"
+        self._changed(self.task)
+
+    def _feasibility(self, pose: np.ndarray) -> str:
+        if self._map is None:
+            return ""
+        value, _ = query(self._map, jnp.asarray(pose))
+        return f": feasibility {float(value):.2f}"
+
+    def hide(self, hidden: bool) -> None:
+        """Take the handles off the picture, or put them there again."""
+        for handle in self._handles:
+            handle.visible = not hidden
+
+    def save(self, path: Path) -> str:
+        """Write the task as a file for `hybrid_jax.plan`.
+
+        Raises:
+            TaskError: the name is none of a JSON file.
+        """
+        if path.suffix != ".json":
+            raise TaskError(f"{path.name!r}: the name of a task file must end in .json")
+        write_text(path, json.dumps(task_values(self.task), indent=1) + "\n")
+        return f"Saved {path}."

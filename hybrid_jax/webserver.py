@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: MIT
+"""A viser server that serves its own page only: pages of other origins cannot reach it."""
+
+import contextlib
+import http
+import io
+import ipaddress
+from collections.abc import Iterator
+from urllib.parse import urlsplit
+
+import viser
+import websockets.asyncio.server
+
+
+def _is_local(name: str | None) -> bool:
+    if name == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(name or "").is_loopback
+    except ValueError:
+        return False
+
+
+def is_own(origin: str | None, host: str | None, local: bool) -> bool:
+    """Does a request come from this server's own page, or from no page at all?
+
+    Args:
+        origin: header of that name; browsers send it with every web socket.
+        host: header of that name.
+        local: does the server listen at this machine's own address only? Then a foreign name in
+            `host` is a page that had its name resolved to this machine (DNS rebinding).
+    """
+    if local and not _is_local(urlsplit(f"//{host}").hostname):
+        return False
+    return origin is None or (host is not None and urlsplit(origin).netloc == host)
+
+
+@contextlib.contextmanager
+def _guarded(local: bool) -> Iterator[None]:
+    """Servers that are started inside refuse other origins; viser has no setting for that."""
+    serve = websockets.asyncio.server.serve
+
+    def guarded(handler, *args, process_request, **kwargs):
+        def check(connection, request):
+            headers = request.headers
+            if is_own(headers.get("Origin"), headers.get("Host"), local):
+                return process_request(connection, request)
+            return connection.respond(http.HTTPStatus.FORBIDDEN, "not this server's page\n")
+
+        return serve(handler, *args, process_request=check, **kwargs)
+
+    websockets.asyncio.server.serve = guarded
+    try:
+        yield
+    finally:
+        websockets.asyncio.server.serve = serve
+
+
+def open_server(host: str, port: int, label: str) -> viser.ViserServer:
+    """Open a page's server.
+
+    Args:
+        host: address to listen at.
+        port: the first one that is tried.
+        label: title of the page.
+    """
+    # the constructor returns when the server listens; its banner would stand among our answers
+    with _guarded(_is_local(host)), contextlib.redirect_stdout(io.StringIO()):
+        return viser.ViserServer(host=host, port=port, label=label, verbose=False)
+
+
+def close_server(server: viser.ViserServer) -> None:
+    """Take a page down without a word."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        server.stop()
+
+
+def address_of(server: viser.ViserServer) -> str:
+    """Where a browser finds the page."""
+    return f"http://{server.get_host()}:{server.get_port()}"

@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: MIT
+"""Plans as files, read back by readers that share nothing with the writers, and the policy."""
+
+import csv
+import dataclasses
+import json
+import subprocess
+import sys
+
+import jax
+import numpy as np
+import pytest
+
+from hybrid_jax.agents import joint, networks
+from hybrid_jax.errors import InputError, UnknownNameError, WorkcellError
+from hybrid_jax.export import export_policy, to_joint_trajectory, write_plan
+from hybrid_jax.export.tpprogram import (
+    TOLERANCE,
+    controller_angles,
+    program_name,
+    sparse,
+    to_tp_program,
+)
+from hybrid_jax.export.tpreading import read_tp_program
+from hybrid_jax.planner.records import PlanResult
+from hybrid_jax.runfolder import create_run
+from hybrid_jax.skills.tasks import random_task
+from hybrid_jax.types import Status, Trajectory
+from hybrid_jax.workcell.description import ControllerSpec
+from hybrid_jax.workcell.load import load_workcell
+
+
+def phase(first, last, seconds, joints):
+    """A smooth motion from rest to rest between two configurations."""
+    times = np.linspace(0, seconds, 60)
+    s = times / seconds
+    step = np.outer(10 * s**3 - 15 * s**4 + 6 * s**5, np.ones(joints))
+    q = first + step * (np.asarray(last) - first)
+    v = np.gradient(q, times, axis=0)
+    return Trajectory(times, q, v, np.gradient(v, times, axis=0), np.arange(60) // 30)
+
+
+@pytest.fixture(scope="module")
+def fpi():
+    return load_workcell("fpi")
+
+
+@pytest.fixture(scope="module")
+def brushing(fpi):
+    """A task of the inspection cell and something like its plan: two phases."""
+    task = random_task(fpi, 3)
+    a, b, c = np.random.default_rng(0).uniform(-0.8, 0.8, (3, 6))
+    phases = [phase(a, b, 1.5, 6), phase(b, c, 2.0, 6)]
+    return task, PlanResult(Status.OK, "found", phases, ["x", "y"])
+
+
+def test_a_csv_says_what_the_plan_is(fpi, brushing, tmp_path):
+    task, plan = brushing
+    write_plan(tmp_path / "a" / "plan.csv", fpi, task, plan)
+    rows = list(csv.DictReader((tmp_path / "a" / "plan.csv").open()))
+    q = np.array([[float(row[name]) for name in fpi.joint_names] for row in rows])
+    expected = np.concatenate([plan.phases[0].positions, plan.phases[1].positions[1:]])
+    np.testing.assert_allclose(q, expected, atol=1e-6)
+    times = np.array([float(row["time_from_start"]) for row in rows])
+    assert (np.diff(times) > 0).all() and times[-1] == pytest.approx(3.5)
+    assert [row["source"] for row in rows][:60] == ["LfD"] * 30 + ["DRL"] * 30
+    speeds = np.array([float(row["joint_1_velocity"]) for row in rows])
+    np.testing.assert_allclose(speeds[:60], plan.phases[0].velocities[:, 0], atol=1e-6)
+
+
+def test_a_tp_program_follows_the_plan(fpi, brushing, tmp_path):
+    """Even moves between its positions, in the times that it says, keep to the trajectory."""
+    task, plan = brushing
+    write_plan(tmp_path / "brush-3.ls", fpi, task, plan)
+    program = read_tp_program((tmp_path / "brush-3.ls").read_text())
+    assert program.name == "BRUSH_3"
+    assert program.others == ("UFRAME_NUM=0", "UTOOL_NUM=1")
+    q = np.radians(program.positions)
+    q[:, 2] += q[:, 1]  # the controller's third angle is against the horizontal
+    assert not program.moves[0].timed and program.moves[0].fine and program.moves[-1].fine
+    assert [m.position for m in program.moves] == list(range(1, len(q) + 1))
+    times = np.cumsum([0.0] + [m.speed for m in program.moves[1:]])
+    points = to_joint_trajectory(fpi, task, plan)["points"]
+    at = np.array([p["time_from_start"] for p in points])
+    assert times[-1] == pytest.approx(at[-1], abs=1e-3)
+    wanted = np.array([p["positions"] for p in points])
+    fastest = max(np.abs(phase.velocities).max() for phase in plan.phases)
+    for column in range(6):
+        found = np.interp(at, times, q[:, column])
+        assert np.abs(found - wanted[:, column]).max() < TOLERANCE + 1e-3 * fastest
+    assert len(q) < 0.8 * len(points), "points that even motion passes anyway are left out"
+
+
+def test_sparse_keeps_both_ends_and_the_tolerance():
+    times = np.linspace(0, 2, 200)
+    q = np.stack([np.sin(2 * times), 0.5 * times], axis=1)
+    kept = sparse(times, q)
+    assert kept[0] == 0 and kept[-1] == 199
+    for column in range(2):
+        line = np.interp(times, times[kept], q[kept, column])
+        assert np.abs(line - q[:, column]).max() <= TOLERANCE + 1e-12
+
+
+def test_the_controller_counts_joints_its_own_way(fpi):
+    q = np.radians([[0.0, 30.0, 50.0, 0, 0, 0]])
+    angles = controller_angles(fpi.source.task.controller, fpi.joint_names, q)
+    np.testing.assert_allclose(angles, [[0, 30, 20, 0, 0, 0]])
+    with pytest.raises(WorkcellError, match="'elbow'"):
+        controller_angles(ControllerSpec("tp", (("elbow", "joint_2"),)), fpi.joint_names, q)
+
+
+def test_cells_without_such_a_controller_are_refused(cell, planned, tmp_path):
+    task, plan = planned
+    with pytest.raises(WorkcellError, match="no controller that runs TP programs"):
+        write_plan(tmp_path / "plan.ls", cell, task, plan)
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(UnknownNameError, match=r"\.csv, \.json, \.ls"):
+        write_plan(tmp_path / "plan.xlsx", cell, task, plan)
+
+
+def with_controller(cell, controller):
+    """The cell with another controller."""
+    source = type(cell.source).__new__(type(cell.source))
+    task = dataclasses.replace(cell.source.task, controller=controller)
+    source.__dict__ = {**cell.source.__dict__, "task": task}
+    return cell.replace(source=source)
+
+
+def test_a_program_that_carries_closes_and_opens_the_gripper(cell, planned):
+    task, plan = planned
+    values = to_joint_trajectory(cell, task, plan)
+    with pytest.raises(WorkcellError, match="'open' and 'close'"):
+        to_tp_program(with_controller(cell, ControllerSpec("tp")), values, "carry")
+    spec = ControllerSpec("tp", open="RO[1]=OFF", close="RO[1]=ON")
+    program = read_tp_program(to_tp_program(with_controller(cell, spec), values, "carry"))
+    acts = [text for text in program.others if text.startswith("RO")]
+    orders = [{"open": "RO[1]=OFF", "close": "RO[1]=ON"}[g["command"]] for g in values["gripper"]]
+    assert acts == orders
+    q = np.radians(program.positions)
+    for trajectory in plan.phases:  # each motion begins and ends in the program
+        for point in (trajectory.positions[0], trajectory.positions[-1]):
+            assert np.abs(q - point).max(axis=1).min() < 1e-4
+
+
+@pytest.mark.parametrize(
+    "old, new, message",
+    [
+        ("/POS", "/PSO", "sections missing"),
+        ("   3:J P[1]", "   4:J P[1]", "line 3 of /MN"),
+        ("J P[2]", "L P[2]", "no joint move"),
+        ("LINE_COUNT = ", "LINE_COUNT = 9", "LINE_COUNT"),
+        ("P[2]{", "P[3]{", "position 2"),
+        ("\tJ6= ", "\tJ7= ", "position 1"),
+    ],
+)
+def test_damaged_programs_are_refused(fpi, brushing, old, new, message):
+    text = to_tp_program(fpi, to_joint_trajectory(fpi, *brushing), "p")
+    assert old in text
+    with pytest.raises(InputError, match=message):
+        read_tp_program(text.replace(old, new, 1))
+
+
+def test_names_of_programs():
+    assert program_name("my plan.2") == "MY_PLAN_2"
+    for bad in ("2nd", "", "x" * 37):
+        with pytest.raises(WorkcellError, match="no name for a TP program"):
+            program_name(bad)
+
+
+READER = """
+import sys, numpy as np
+from jax import export
+program = export.deserialize(bytearray(open(sys.argv[1], "rb").read()))
+assert "hybrid_jax" not in sys.modules
+np.save(sys.argv[3], program.call(np.load(sys.argv[2])))
+"""
+
+
+def test_the_exported_policy_acts_as_the_agent(tmp_path):
+    """In a process that does not know this package, for a batch of another size."""
+    run = create_run("gen3_handling", "smoke", 0, tmp_path / "run")
+    config = run.preset.joint
+    net, count = joint.make_net(run.cell, config), joint.observation_length(run.cell, config)
+    policy = networks.blank_policy(net, count)
+    rng = np.random.default_rng(1)
+    policy = jax.tree.map(
+        lambda a: a + 0.1 * rng.normal(size=np.shape(a)).astype("f4") if np.ndim(a) else a,
+        policy,
+    )
+    run.save("drl.npz", "joint agent", policy)
+    export_policy(run, tmp_path / "policy.stablehlo")
+    told = json.loads((tmp_path / "policy.json").read_text())
+    assert sum(part["count"] for part in told["observation"]) == count
+    seen = rng.normal(size=(5, count)).astype("f4")
+    np.save(tmp_path / "seen.npy", seen)
+    done = subprocess.run(
+        [sys.executable, "-c", READER, "policy.stablehlo", "seen.npy", "acts.npy"],
+        cwd=tmp_path, capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    expected = networks.act(net, policy, seen, None)
+    np.testing.assert_allclose(np.load(tmp_path / "acts.npy"), expected, atol=1e-6)

@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: MIT
+"""The view page: its parts by themselves, and the page in a real headless Chromium."""
+
+import json
+import urllib.request
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from pages import choose, open_tab, press, says, wait_for
+
+from hybrid_jax.errors import TaskError, WorkcellError
+from hybrid_jax.feasibility.judging import Reason
+from hybrid_jax.kernels.collision import clearance
+from hybrid_jax.planner.scenes import in_scene, phase_scene, segment_kinds
+from hybrid_jax.runfolder import open_run
+from hybrid_jax.skills.tasks import random_task, read_task, task_values, with_key_poses
+from hybrid_jax.webserver import is_own
+from hybrid_jax.workcell.assets import robots_folder
+
+pytest.importorskip("viser")
+
+from hybrid_jax.view import curves, mapcloud  # noqa: E402
+from hybrid_jax.view.motion import motion_of  # noqa: E402
+from hybrid_jax.view.page import ViewPage  # noqa: E402
+from hybrid_jax.view.robotlook import arm_bodies  # noqa: E402
+
+
+def test_frames_show_what_the_plan_does(cell, planned):
+    """Against C MuJoCo: the tool, and the held object that moves with it into its tray."""
+    task, plan = planned
+    motion = motion_of(cell, task, plan)
+    assert (np.diff(motion.times) > 0).all()
+    data, index = mujoco.MjData(cell.model), cell.source.layout.object_names.index(task.object_name)
+    address = cell.source.layout.object_qpos[index]
+    site = cell.source.layout.tool_site
+    for frame in range(0, len(motion.times), 25):
+        data.qpos[:] = motion.qpos[frame]
+        mujoco.mj_kinematics(cell.model, data)
+        np.testing.assert_allclose(data.site_xpos[site], motion.tools[frame], atol=1e-5)
+    first, last = motion.qpos[0][address : address + 3], motion.qpos[-1][address : address + 3]
+    np.testing.assert_allclose(first, task.object_poses[index][:3], atol=1e-6)
+    tray = cell.source.task.object(task.object_name).tray
+    assert np.abs(last[:2] - cell.model.body(tray).pos[:2]).max() < 0.2
+    kinds = segment_kinds(task)
+    inside = in_scene(cell, phase_scene(cell, task, int(kinds[0])))
+    q = jnp.asarray(motion.qpos[0][list(cell.source.layout.qpos)], jnp.float32)
+    assert motion.clearances[0] == pytest.approx(float(clearance(inside, q)), abs=1e-5)
+
+
+def test_the_cloud_shows_what_is_chosen():
+    rng = np.random.default_rng(0)
+    reason = rng.integers(0, len(Reason), (4, 3, 2, 5)).astype(np.uint8)
+    fmap = type("Map", (), {"reason": reason, "lower": np.zeros(3), "spacing": 0.1})()
+    points, shares = mapcloud.centres(fmap), mapcloud.voxel_shares(fmap, None)
+    np.testing.assert_allclose(shares.sum(axis=-1), 1.0)
+    every, share = mapcloud.chosen_points(shares, points, None, None, 0.0)
+    assert len(every) == 24
+    expected = (reason == Reason.FEASIBLE).mean(axis=-1).ravel()
+    np.testing.assert_allclose(share, expected)
+    kind = int(Reason.UNREACHABLE)
+    some, share = mapcloud.chosen_points(shares, points, kind, 0, 0.22)
+    assert np.allclose(some[:, 0], 0.2) and (share > 0).all()
+    assert len(some) == int((reason[2] == kind).any(axis=-1).sum())
+    one = mapcloud.voxel_shares(fmap, 3)
+    np.testing.assert_array_equal(one.argmax(axis=-1), reason[..., 3])
+
+
+def test_dragged_tasks_survive_their_file(cell, tmp_path):
+    task = random_task(cell, 4)
+    rows = np.array(task_values(task)["key_poses"])
+    rows[0, :2] += 0.02
+    moved = with_key_poses(cell, task, rows)
+    index = cell.source.layout.object_names.index(task.object_name)
+    shift = moved.object_poses[index] - task.object_poses[index]
+    np.testing.assert_allclose(shift[:3], [0.02, 0.02, 0], atol=1e-5)  # it lies where it is grasped
+    path = tmp_path / "task.json"
+    path.write_text(json.dumps(task_values(moved)))
+    again = read_task(cell, path)
+    np.testing.assert_allclose(again.key_poses[1:-1], moved.key_poses[1:-1], atol=2e-6)
+    np.testing.assert_allclose(again.object_poses, moved.object_poses, atol=2e-6)
+
+
+@pytest.mark.parametrize(
+    "values, message",
+    [
+        ({"object": "block_1", "key_poses": [[0] * 7]}, "key_poses must be 4 finite rows"),
+        ({"object": "block_1", "key_poses": [[0, 0, 0, 2, 0, 0, 0]] * 4}, "row 0 has not length 1"),
+        ({"object": "block_1", "key_poses": "up"}, "key_poses must be 4 finite rows"),
+        ({"object": "block_1", "scene_seed": -1}, "scene_seed must be a whole number"),
+        ({"object": "block_1", "colour": "red"}, "unknown field 'colour'"),
+        ({"object": 7}, "needs a field 'object'"),
+    ],
+)
+def test_bad_task_files_are_refused_by_name(cell, tmp_path, values, message):
+    path = tmp_path / "task.json"
+    path.write_text(json.dumps(values))
+    with pytest.raises(TaskError, match=message):
+        read_task(cell, path)
+
+
+@pytest.mark.parametrize(
+    "origin, host, local, own",
+    [
+        (None, "127.0.0.1:8080", True, True),
+        ("http://127.0.0.1:8080", "127.0.0.1:8080", True, True),
+        ("http://localhost:8080", "localhost:8080", True, True),
+        ("http://localhost:3000", "localhost:8080", True, False),
+        ("https://evil.example", "127.0.0.1:8080", True, False),
+        ("http://evil.example:8080", "evil.example:8080", True, False),
+        ("http://robot.plant:8080", "robot.plant:8080", False, True),
+        ("http://evil.example", "robot.plant:8080", False, False),
+        ("null", "127.0.0.1:8080", True, False),
+    ],
+)
+def test_origins(origin, host, local, own):
+    assert is_own(origin, host, local) == own
+
+
+@pytest.fixture(scope="module")
+def page(smoke_run):
+    look = robots_folder() / "kinova_gen3_2f85" / "kinova_gen3_2f85.xml"
+    opened = ViewPage(open_run(smoke_run), port=8223, look=look)
+    yield opened
+    opened.close()
+
+
+def test_the_page_refuses_foreign_origins(page):
+    for origin, code in (("http://evil.example", 403), (page.address, 200)):
+        request = urllib.request.Request(page.address, headers={"Origin": origin})
+        try:
+            found = urllib.request.urlopen(request).status
+        except urllib.error.HTTPError as error:
+            found = error.code
+        assert found == code
+    websockets = pytest.importorskip("websockets.sync.client")
+    with pytest.raises(Exception, match="403"):
+        websockets.connect(page.address.replace("http", "ws"), origin="http://evil.example")
+
+
+def test_the_look_stands_where_the_arm_stands(page):
+    """The same model as cell and as look: every body that both have is at the same place."""
+    cell, look = page.run.cell, page._look
+    qpos = np.array(cell.model.key_qpos[0])
+    qpos[list(cell.source.layout.qpos)] += 0.3
+    look.show(qpos)
+    data = mujoco.MjData(cell.model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(cell.model, data)
+    root = look._scene.root
+    assert len(arm_bodies(cell)) == len(cell.joint_names) + 1
+    for own, joint in zip(cell.source.layout.joints, look._joints, strict=True):
+        body, theirs = cell.model.jnt_bodyid[own], look._model.jnt_bodyid[joint]
+        turned = np.zeros(3)
+        mujoco.mju_rotVecQuat(turned, look._scene._data.xpos[theirs], np.array(root.wxyz, float))
+        np.testing.assert_allclose(turned + root.position, data.xpos[body], atol=1e-6)
+
+
+def test_a_look_of_another_arm_is_refused(page, tmp_path):
+    from hybrid_jax.view.robotlook import RobotLook
+
+    body = "<body><joint type='hinge'/><geom size='0.1'/></body>"
+    (tmp_path / "one.xml").write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    with pytest.raises(WorkcellError, match="has 1 hinge joints"):
+        RobotLook(page.server, page.run.cell, tmp_path / "one.xml")
+
+
+def test_curves_are_those_of_the_run(page):
+    steps, values = curves.curve_of(page.run, "lfd", "reward")
+    rows = page.run.metrics("lfd")
+    assert len(steps) == len(rows) and values[-1] == rows[-1]["reward"]
+    assert page.curves >= 3
+
+
+def test_a_task_is_built_planned_played_and_saved_in_the_browser(browser, page, tmp_path):
+    browser.get(page.address)
+    says(browser, "Choose an object")
+    wait_for(lambda: list(page.server.get_clients().values()))
+    choose(browser, "Object", "block_2")
+    wait_for(lambda: page.task.task.object_name == "block_2")
+    handle = page.task._handles[0]
+    before = page.task.task
+    handle.position = np.array(handle.position) + [0.01, 0.0, 0.0]
+    page.task._dragged()
+    assert not np.allclose(before.key_poses[1], page.task.task.key_poses[1])
+    press(browser, "Plan")
+    wait_for(lambda: page.status.content.startswith("**"), 240.0)
+    assert page.status.content.startswith("**OK**"), page.status.content
+    assert page.playback.motion.clearances.min() > -0.005
+    press(browser, "Play")
+    wait_for(lambda: page.playback.at.value > 0.5)
+    says(browser, "clearance")
+    press(browser, "Stop")
+    path = tmp_path / "mine.json"
+    page._name.value = str(path)
+    press(browser, "Save task")
+    wait_for(path.is_file)
+    again = read_task(page.run.cell, path)
+    np.testing.assert_allclose(again.key_poses[1:-1], page.task.task.key_poses[1:-1], atol=1e-5)
+
+
+def test_map_skills_and_curves_in_the_browser(browser, page):
+    browser.get(page.address)
+    open_tab(browser, "Map")
+    says(browser, "voxels")
+    page.map.shown.value = True
+    choose(browser, "Reason", "unreachable")
+    wait_for(lambda: page.map.reason.value == "unreachable")
+    says(browser, "of the poses: unreachable")
+    choose(browser, "Slice", "z")
+    says(browser, "z = ")
+    open_tab(browser, "Skills")
+    name = next(iter(page._skills))
+    choose(browser, "Skill", name)
+    says(browser, page._skills[name].note)
+    open_tab(browser, "Learning")
+    wait_for(lambda: len(browser.find_elements("css selector", ".uplot canvas")) >= page.curves)
