@@ -49,6 +49,7 @@ _EXPORTS = {
     "plan_batch": "planner.pipeline",
     "plan_joint_motion": "planner.joints",
     "JointMotionConfig": "planner.joints",
+    "read_task": "skills.tasks",
     "open_run": "runfolder",
     "load_planner": "planner.loading",
     "ExecutionConfig": "simulation.execution",
@@ -56,6 +57,8 @@ _EXPORTS = {
     "ExecutionReport": "simulation.runs",
     "sort_scenes": "simulation.runs",
     "SortingReport": "simulation.runs",
+    "write_plan": "export.files",
+    "export_policy": "export.policies",
     "HybridJaxError": "errors",
 }
 __all__ = sorted(_EXPORTS)

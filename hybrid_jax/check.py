@@ -74,7 +74,6 @@ def plan_tasks(
 
     import jax  # noqa: PLC0415
 
-    from hybrid_jax.compilecache import enable_compile_cache  # noqa: PLC0415
     from hybrid_jax.planner.lfd import optimal_chooser  # noqa: PLC0415
     from hybrid_jax.planner.loading import optimal_switcher, read_library  # noqa: PLC0415
     from hybrid_jax.planner.pipeline import plan_batch  # noqa: PLC0415
@@ -86,7 +85,6 @@ def plan_tasks(
     from hybrid_jax.workcell.diagnosis import DOUBTFUL  # noqa: PLC0415
     from hybrid_jax.workcell.load import load_workcell  # noqa: PLC0415
 
-    enable_compile_cache()
     cell = load_workcell(path)
     # without a map nobody knows what manipulability is usual here
     labels = replace(DEFAULT.planner.labels, least_manipulability=0.0)

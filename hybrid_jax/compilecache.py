@@ -1,21 +1,26 @@
 # SPDX-License-Identifier: MIT
-"""Keep compiled programs between runs, in the user's cache folder."""
+"""Keep compiled programs between processes, in the user's cache folder."""
 
 import os
 from pathlib import Path
 
 
 def enable_compile_cache() -> Path | None:
-    """Switch JAX's persistent compile cache on; `HYBRID_JAX_NO_CACHE=1` leaves it off.
+    """Switch JAX's persistent compile cache on, where the user has not set it up otherwise.
 
-    `JAX_COMPILATION_CACHE_DIR`, if set, says where; else `hybrid_jax` in the user's cache folder.
+    `load_workcell` does it. `HYBRID_JAX_NO_CACHE=1` leaves it off; `JAX_COMPILATION_CACHE_DIR` says
+    where it lies, else it is `hybrid_jax` in the user's cache folder.
+
+    Returns:
+        The folder; None if it is left off.
     """
     if os.environ.get("HYBRID_JAX_NO_CACHE"):
         return None
     import jax  # noqa: PLC0415
 
-    caches = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    folder = Path(os.environ.get("JAX_COMPILATION_CACHE_DIR") or Path(caches) / "hybrid_jax")
-    jax.config.update("jax_compilation_cache_dir", str(folder))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
-    return folder
+    if not jax.config.jax_compilation_cache_dir:
+        caches = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+        jax.config.update("jax_compilation_cache_dir", str(Path(caches) / "hybrid_jax"))
+    if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+    return Path(jax.config.jax_compilation_cache_dir)

@@ -3,7 +3,6 @@
 
 from pathlib import Path
 
-from hybrid_jax.compilecache import enable_compile_cache
 from hybrid_jax.errors import InputError
 from hybrid_jax.terminal import answer, remark, run_main
 
@@ -43,7 +42,6 @@ def main(
         raise InputError("say where to write to: --out FILE.json for the study, or --video FILE")
     if runs < 1:
         raise InputError(f"--runs must be at least 1, got {runs}")
-    enable_compile_cache()
     from hybrid_jax.runfolder import open_run  # noqa: PLC0415
     from hybrid_jax.studies.choosing import study_of  # noqa: PLC0415
     from hybrid_jax.studies.contestants import contestant  # noqa: PLC0415

@@ -129,11 +129,17 @@ def solve_ik(
 
     Args:
         cell: the robot; its collisions count if `config.clearance` is given.
-        pose: wanted tool pose in the world, unit dual quaternion.
-        reference: first seed (a warm start), and what the chosen solution is nearest to; the
-            cell's home if None.
+        pose: `[8]` wanted tool pose in the world, unit dual quaternion.
+        reference: `[joint]` first seed (a warm start), and what the chosen solution is nearest to;
+            the cell's home if None.
         config: static settings.
         key: draws the other seeds; consumed.
+
+    Returns:
+        Solutions `[seed, joint]` [rad] with errors [m, rad] and clearances [m], and the one to use.
+
+    Raises:
+        InputError: `pose` is no rigid pose, or `reference` no configuration of the arm.
     """
     chain = cell.chain
     reference = cell.home if reference is None else reference

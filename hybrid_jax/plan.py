@@ -3,7 +3,6 @@
 
 from pathlib import Path
 
-from hybrid_jax.compilecache import enable_compile_cache
 from hybrid_jax.terminal import answer, run_main
 
 
@@ -24,7 +23,6 @@ def main(
     from hybrid_jax.export.files import refuse_ending, write_plan  # noqa: PLC0415
 
     refuse_ending(out)
-    enable_compile_cache()
     import jax  # noqa: PLC0415
 
     from hybrid_jax.planner.loading import load_planner  # noqa: PLC0415

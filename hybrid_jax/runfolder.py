@@ -131,13 +131,20 @@ def create_run(
     return Run(folder, cell, preset, seed, skills and skills.resolve(), source)
 
 
-def open_run(folder: Path | None, workcell: str = "") -> Run:
-    """Open an existing run; the newest of `workcell` if no folder is given.
+def open_run(folder: Path | str | None, workcell: str = "") -> Run:
+    """Open an existing run.
+
+    Args:
+        folder: of the run; the newest run of `workcell` in `runs` if None.
+        workcell: name or file of the cell, where no folder is given.
+
+    Returns:
+        The run with its cell.
 
     Raises:
         RunFolderError: no run there, or its cell has changed since.
     """
-    folder = folder or _latest_folder(Path("runs"), Path(workcell).stem)
+    folder = Path(folder) if folder else _latest_folder(Path("runs"), Path(workcell).stem)
     path = folder / "config.json"
     if not path.is_file():
         raise RunFolderError(f"{folder} is no run folder: {path.name} is missing")

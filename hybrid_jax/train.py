@@ -8,7 +8,6 @@ from typing import Annotated
 
 import tyro
 
-from hybrid_jax.compilecache import enable_compile_cache
 from hybrid_jax.errors import UnknownNameError
 from hybrid_jax.terminal import STOPPED, answer, remark, run_main
 
@@ -40,7 +39,6 @@ def main(
         quiet: print the summary only.
         json: print the summary as JSON.
     """
-    enable_compile_cache()
     # JAX is imported only now: --help and a mistyped name answer at once
     from hybrid_jax import runfolder  # noqa: PLC0415
     from hybrid_jax.devices import use_all_cores  # noqa: PLC0415

@@ -127,13 +127,17 @@ class Workcell:
     """A robot among fixtures and movable objects. Built by `load_workcell`."""
 
     chain: KinematicChain
+    """Joints, limits and tool frame."""
     robot: RobotShapes
+    """Primitives of links and fingers."""
     fixtures: Shapes
     """Everything welded to the world, in the world."""
     objects: Shapes
     """Movable objects, each in its own body's frame."""
     pairs: ContactPairs
+    """What may touch what."""
     scene: Scene
+    """Objects, payload and opening of the fingers."""
     home: Array
     """`[joint]` configuration to start from."""
     source: "WorkcellSource" = struct.field(pytree_node=False)

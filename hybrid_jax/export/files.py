@@ -25,7 +25,7 @@ def refuse_ending(path: Path) -> None:
         raise UnknownNameError(f"ending of {path.name}:", path.suffix, ENDINGS)
 
 
-def write_plan(path: Path, cell: Workcell, task: Task, plan: PlanResult) -> None:
+def write_plan(path: Path | str, cell: Workcell, task: Task, plan: PlanResult) -> None:
     """Write a plan. JSON says also why there is none; the others are written of plans alone.
 
     Args:
@@ -38,6 +38,7 @@ def write_plan(path: Path, cell: Workcell, task: Task, plan: PlanResult) -> None
         UnknownNameError: no such kind of file.
         WorkcellError: the cell's data do not describe such a controller.
     """
+    path = Path(path)
     refuse_ending(path)
     values = to_joint_trajectory(cell, task, plan)
     ending = path.suffix.lower()

@@ -197,6 +197,9 @@ def build_feasibility_map(
             with the same arguments goes on from them; it is removed at the end.
         devices: JAX devices to share the work; all local ones by default.
 
+    Returns:
+        Feasibility, reason and best configuration of each pose `[x, y, z, orientation]`.
+
     Raises:
         MapError: the map would not fit into memory; the message says how large it would be.
     """
@@ -236,12 +239,28 @@ def build_feasibility_map(
 
 
 def save_map(path: Path, cell: Workcell, fmap: FeasibilityMap) -> None:
-    """Write a map with its cell's hash."""
+    """Write a map with its cell's hash.
+
+    Args:
+        path: file to write, ending in `.npz`.
+        cell: that the map is of.
+        fmap: a built map.
+
+    Raises:
+        OSError: it cannot be written; what was there before stays.
+    """
     artifacts.save(path, _KIND, cell.source.digest, fmap)
 
 
 def load_map(path: Path, cell: Workcell) -> FeasibilityMap:
     """Read a map.
+
+    Args:
+        path: of a file that `save_map` wrote.
+        cell: that the map must be of.
+
+    Returns:
+        The map, its arrays `[x, y, z, orientation]`.
 
     Raises:
         RunFolderError: missing, damaged, or the map of another cell.

@@ -21,6 +21,17 @@ def query(fmap: FeasibilityMap, pose: Float[Array, "8"]) -> tuple[Array, Array]:
     """Feasibility at a pose: trilinear in position, nearest orientation; and its best seed.
 
     Outside the grid the nearest voxel answers.
+
+    Args:
+        fmap: a built map.
+        pose: `[8]` tool pose in the world, unit dual quaternion.
+
+    Returns:
+        `[]` feasibility from 0 to 1, and `[joint]` the best configuration of the nearest grid pose
+        [rad], zeros where it has none.
+
+    Raises:
+        InputError: `pose` is no rigid pose.
     """
     shape = fmap.feasibility.shape
     turn = jnp.argmax(jnp.abs(fmap.orientations @ pose[:4]))
@@ -41,7 +52,18 @@ def query(fmap: FeasibilityMap, pose: Float[Array, "8"]) -> tuple[Array, Array]:
 @checks(pose=pose_input)
 @jax.jit
 def nearest_feasible(fmap: FeasibilityMap, pose: Float[Array, "8"]) -> Float[Array, "8"]:
-    """Grid pose with positive feasibility that is nearest to a pose."""
+    """Grid pose with positive feasibility that is nearest to a pose.
+
+    Args:
+        fmap: a built map.
+        pose: `[8]` tool pose in the world, unit dual quaternion.
+
+    Returns:
+        `[8]` unit dual quaternion; positions and rotations are compared by `TURN_LENGTH` [m].
+
+    Raises:
+        InputError: `pose` is no rigid pose.
+    """
     shape = fmap.feasibility.shape
     axes = [fmap.lower[i] + fmap.spacing * jnp.arange(shape[i]) for i in range(3)]
     points = jnp.stack(jnp.meshgrid(*axes, indexing="ij"), -1)

@@ -195,7 +195,16 @@ def clearances(cell: Workcell, q: Float[Array, "n"]) -> Float[Array, "2"]:
 def clearance(cell: Workcell, q: Float[Array, "n"]) -> Float[Array, ""]:
     """Smallest signed distance of the robot and its payload to anything else or itself [m].
 
-    Negative where they overlap: the depth of the deepest overlap. `FAR` where nothing can touch.
+    Args:
+        cell: robot and scene.
+        q: `[joint]` configuration [rad].
+
+    Returns:
+        `[]` [m]; negative where they overlap: the depth of the deepest overlap. `FAR` where nothing
+        can touch.
+
+    Raises:
+        InputError: `q` is no configuration of the arm.
     """
     return _smallest("all", cell, q)
 

@@ -65,12 +65,18 @@ def edge_is_free(
     """Is every configuration on a straight edge at least `margin` away from everything?
 
     Args:
+        cell: robot and scene.
+        start: `[joint]` one end [rad].
+        end: `[joint]` the other [rad].
         margin: clearance to keep [m].
         tolerance: an edge that comes this close to the margin counts as blocked: the steps would
             become too small [m].
 
     Returns:
-        True only if it is proven, and the smallest clearance that was sampled [m].
+        `[]` True only if it is proven, and `[]` the smallest clearance that was sampled [m].
+
+    Raises:
+        InputError: an end is no configuration of the arm.
     """
     length = jnp.sum(jnp.abs(end - start) * motion_reach(cell))
 

@@ -85,7 +85,18 @@ def tool_frame(chain: KinematicChain, frames: Float[Array, "n 7"]) -> Float[Arra
 @checks(q=configuration)
 @jax.jit
 def tool_pose(cell: Workcell, q: Float[Array, "n"]) -> Float[Array, "8"]:
-    """Pose of the tool in the world as a unit dual quaternion."""
+    """Pose of the tool in the world.
+
+    Args:
+        cell: the robot.
+        q: `[joint]` configuration [rad].
+
+    Returns:
+        `[8]` unit dual quaternion (translations in m).
+
+    Raises:
+        InputError: `q` is no configuration of the arm.
+    """
     tool = tool_frame(cell.chain, joint_frames(cell.chain, q))
     return dq.normalize(dq.from_parts(tool[:3], tool[3:]))
 
@@ -102,7 +113,18 @@ def frame_jacobian(chain: KinematicChain, frames: Array, point: Array) -> Float[
 @checks(q=configuration)
 @jax.jit
 def jacobian(cell: Workcell, q: Float[Array, "n"]) -> Float[Array, "6 n"]:
-    """Geometric Jacobian of the tool: linear rows [m/rad], then angular rows, world axes."""
+    """Geometric Jacobian of the tool.
+
+    Args:
+        cell: the robot.
+        q: `[joint]` configuration [rad].
+
+    Returns:
+        `[6, joint]`: linear rows [m/rad], then angular rows, in world axes.
+
+    Raises:
+        InputError: `q` is no configuration of the arm.
+    """
     frames = joint_frames(cell.chain, q)
     return frame_jacobian(cell.chain, frames, tool_frame(cell.chain, frames)[:3])
 
@@ -110,7 +132,18 @@ def jacobian(cell: Workcell, q: Float[Array, "n"]) -> Float[Array, "6 n"]:
 @checks(q=configuration)
 @jax.jit
 def manipulability(cell: Workcell, q: Float[Array, "n"]) -> Float[Array, ""]:
-    """Yoshikawa's measure `sqrt(det(J J^T))` (paper, section "Integrated Feasibility Map")."""
+    """Yoshikawa's measure `sqrt(det(J J^T))` (paper, section "Integrated Feasibility Map").
+
+    Args:
+        cell: the robot.
+        q: `[joint]` configuration [rad].
+
+    Returns:
+        `[]`, 0 where the arm is singular [m^3 for an arm of hinges].
+
+    Raises:
+        InputError: `q` is no configuration of the arm.
+    """
     matrix = gram(jacobian(cell, q))
     for i in range(6):
         matrix[i][i] = matrix[i][i] + _TINY  # pivots stay positive where the arm is singular

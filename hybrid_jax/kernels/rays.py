@@ -107,6 +107,17 @@ def cast(
 @checks(pose=pose_input)
 @jax.jit
 def sense(cell: Workcell, pose: Float[Array, "8"]) -> Float[Array, "25"]:
-    """Ray lengths up to `RAY_RANGE` [m] at a tool pose; robot and payload are unseen."""
+    """What the paper's ray sensor sees at a tool pose; robot and payload are unseen.
+
+    Args:
+        cell: fixtures and objects.
+        pose: `[8]` tool pose in the world, unit dual quaternion.
+
+    Returns:
+        `[25]` ray lengths, up to `RAY_RANGE` [m].
+
+    Raises:
+        InputError: `pose` is no rigid pose.
+    """
     directions = jnp.asarray(_DIRECTIONS, pose.dtype) @ dq.quat_matrix(pose[:4]).T
     return jnp.minimum(cast(cell, dq.position(pose), directions), RAY_RANGE)

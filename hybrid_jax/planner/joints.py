@@ -42,8 +42,11 @@ class JointMotionConfig:
     tolerance: float = 0.0003
     """... with so much more where it is measured; less takes longer [m]."""
     smoothing: SmoothingConfig = SmoothingConfig(margin=0.001, shortcut_rounds=12)
+    """Of the path that was found."""
     timing: TimingConfig = TimingConfig()
+    """Speeds and sampling of the trajectory."""
     check: CheckConfig = CheckConfig()
+    """What the trajectory must keep."""
 
 
 def find_path(
@@ -93,14 +96,16 @@ def plan_joint_motion(
 
     Args:
         cell: any cell; the scene that it is in does not matter.
-        start, goal: `[joint]` [rad].
+        start: `[joint]` [rad].
+        goal: `[joint]` [rad].
         config: settings.
         key: consumed.
         scene: where objects and fingers are, what is held; as in the model's keyframe `home` if
             None.
 
     Returns:
-        One trajectory if the status is OK; it has passed the same final check as every plan.
+        One trajectory of way points `[point, joint]` [rad] if the status is OK; it has passed the
+        same final check as every plan. Bad ends raise nothing: the status says which is at fault.
     """
     engine, scene = Engine(cell, config.check), scene or home_scene(cell)
     ends, note, refusal = _admit(engine, cell, scene, start, goal)

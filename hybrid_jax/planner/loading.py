@@ -73,6 +73,13 @@ def load_chooser(run: Run) -> SkillChooser:
 def load_planner(run: Run, *, switch: str = "learned") -> Planner:
     """The planner of a run; needs its map and drl stages, and those of the agents it plans with.
 
+    Args:
+        run: from `open_run`.
+        switch: `learned` for the run's switching agent, `optimal` for exact switching.
+
+    Returns:
+        What `plan_motion` and `plan_batch` take.
+
     Raises:
         RunFolderError: a stage is missing: the message says which.
     """

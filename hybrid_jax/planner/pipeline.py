@@ -66,6 +66,10 @@ def plan_motion(planner: Planner, task: Task, *, key: Array) -> PlanResult:
         planner: cell, skills and agents.
         task: key poses in a scene.
         key: draws IK seeds and rollouts; consumed.
+
+    Returns:
+        A trajectory for each phase, way points `[point, joint]` [rad] at times [s]; or a status
+        that is not OK and a sentence. A bad task raises nothing: its status is INVALID_TASK.
     """
     return plan_batch(planner, [task], key=key)[0]
 
@@ -80,6 +84,9 @@ def plan_batch(planner: Planner, tasks: Sequence[Task], *, key: Array) -> list[P
         planner: cell, skills and agents; its functions are called from two threads.
         tasks: each in a scene of its own.
         key: draws IK seeds and rollouts; consumed.
+
+    Returns:
+        One result for each task, see `plan_motion`.
     """
     count = max(1, min(PARTS, len(tasks) // LEAST_PART))
     parts = [tasks[i::count] for i in range(count)]

@@ -26,15 +26,20 @@ class PlannerConfig:
     """Settings of the planner."""
 
     skills: SkillConfig = SkillConfig()
+    """Which skills are admissible and how they are mapped."""
     labels: LabelConfig = LabelConfig()
+    """How configurations of key poses and way points are found and judged."""
     quick: LabelConfig | None = replace(
         LabelConfig(), candidates=2, search=replace(LabelConfig().search, seeds=12, iterations=30)
     )
     """How tasks are labelled at first; `labels` follows where that leaves no plan. None leaves this
     look out."""
     smoothing: SmoothingConfig = SmoothingConfig()
+    """Of the combined path."""
     timing: TimingConfig = TimingConfig()
+    """Speeds and sampling of the trajectories."""
     check: CheckConfig = CheckConfig()
+    """What the trajectories must keep."""
     plans: int = 1
     """Skill plans of a task that are labelled; that with the fewest infeasible way points is used.
     Three leave 4 % fewer in the handling cell, and are three times as many to label."""
@@ -55,7 +60,9 @@ class Planner:
     """A cell with everything that was learned for it. The agents are functions."""
 
     cell: Workcell
+    """Robot, fixtures and objects."""
     library: SkillLibrary
+    """Skills to choose from."""
     choose: SkillChooser
     """Task planner of RL-LfD."""
     bridge: Bridger | None
@@ -65,6 +72,7 @@ class Planner:
     scale: float
     """Manipulability that counts as 1 (from the feasibility map)."""
     config: PlannerConfig = PlannerConfig()
+    """Settings."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +80,7 @@ class PlanResult:
     """A plan, or the reason why there is none."""
 
     status: Status
+    """How planning ended."""
     detail: str
     """A sentence for people: what failed and where."""
     phases: list[Trajectory] = field(default_factory=list)

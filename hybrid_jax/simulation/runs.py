@@ -27,6 +27,7 @@ class SortingReport:
     """What became of a run."""
 
     seed: int
+    """Of the scene."""
     reports: list[ObjectReport]
     """Of each object."""
     touches: list[Touch]
@@ -47,6 +48,7 @@ class ExecutionReport:
     """What became of one plan."""
 
     ending: Ending
+    """How its execution ended."""
     placed: bool
     """The object lies in its tray, at rest."""
     touches: list[Touch]
@@ -92,7 +94,13 @@ def sort_scenes(
         disturbance: what differs from what the planner is told.
         config: times and thresholds.
         engine: host (C MuJoCo), device (MJX) or auto.
-        progress: is told how many runs have ended, and the simulated time of all.
+        progress: is told how many runs have ended, and the simulated time of all [s].
+
+    Returns:
+        One report a scene: what became of each object, contacts, frames `[frame, nq]`, time [s].
+
+    Raises:
+        WorkcellError: the cell has no handling data, or its objects find no room in a scene.
     """
     sensed = sense_cell(cell)
     model, names = disturbed_model(sensed.model, cell, disturbance), list(names or _names(cell))
@@ -128,6 +136,16 @@ def execute(
     engine: str = "auto",
 ) -> ExecutionReport:
     """Carry out one plan in the scene of its task.
+
+    Args:
+        cell: that the plan was made in.
+        task: that was planned.
+        plan: with status OK.
+        config: times and thresholds.
+        engine: host (C MuJoCo), device (MJX) or auto.
+
+    Returns:
+        What happened: outcome, contacts, frames `[frame, nq]`, time [s].
 
     Raises:
         ValueError: the plan holds no trajectory, or starts elsewhere than at home.

@@ -64,6 +64,13 @@ def handling_task(
         object_poses: `[object, 7]` where all objects lie.
         start: `[joint]` where the arm stands [rad]; at home if None.
         grasp: which of the object's grasps to use.
+
+    Returns:
+        The task, with key poses `[6, 8]`.
+
+    Raises:
+        WorkcellError: the cell has no handling data.
+        UnknownNameError: no such object.
     """
     data = require_handling(cell)
     spec = data.object(object_name)

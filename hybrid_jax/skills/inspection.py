@@ -80,6 +80,13 @@ def inspection_task(
         object_poses: `[object, 7]` where all parts lie.
         start: `[joint]` where the arm stands [rad]; at home if None.
         stroke: shares of the face's length at which the stroke begins and ends.
+
+    Returns:
+        The task, with key poses `[pose, 8]`.
+
+    Raises:
+        WorkcellError: the cell has no inspection data.
+        UnknownNameError: no such part.
     """
     data, model = require_inspection(cell), cell.model
     part, tray = data.part(part_name), model.body(data.tray)

@@ -51,10 +51,17 @@ class SkillLibrary:
     closed: Array
     """`[skill]` True where the gripper holds an object."""
     names: tuple[str, ...] = struct.field(pytree_node=False)
+    """`[skill]` names of the skills in use."""
 
 
 def build_library(demos: list[Demonstration]) -> SkillLibrary:
     """Clean demonstrations and stack them; where the gripper acts, one skill ends.
+
+    Args:
+        demos: recordings with poses `[sample, 7]` [m, quaternion].
+
+    Returns:
+        Skills of equally spaced poses `[skill, point, 8]`.
 
     Raises:
         DemonstrationError: no demonstration, or more than `MAX_SKILLS` skills in them.

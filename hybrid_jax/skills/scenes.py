@@ -50,7 +50,19 @@ def _overlapping(model, data, bodies) -> bool:
 
 
 def sample_scene(cell: Workcell, seed: int, settle: float = 0.4) -> np.ndarray:
-    """Random poses `[object, 7]` of the cell's objects, at rest and apart from each other."""
+    """Random poses of the cell's objects, at rest and apart from each other.
+
+    Args:
+        cell: with task data.
+        seed: of the scene.
+        settle: time that the objects are given to come to rest [s].
+
+    Returns:
+        `[object, 7]` position [m] and quaternion.
+
+    Raises:
+        WorkcellError: the cell has no task data, or its objects find no room.
+    """
     task, layout, model = require_task_data(cell), cell.source.layout, cell.model
     rng = np.random.default_rng(seed)
     data = mujoco.MjData(model)

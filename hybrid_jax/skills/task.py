@@ -19,6 +19,7 @@ class Task:
     """Do something with one object. Segment i leads from key pose i to i + 1."""
 
     object_name: str
+    """Which object."""
     object_poses: np.ndarray
     """`[object, 7]` where every object of the cell lies."""
     key_poses: np.ndarray

@@ -31,7 +31,14 @@ def make_task(cell: Workcell, object_name: str, object_poses: np.ndarray) -> Tas
     Args:
         cell: with task data.
         object_name: which object.
-        object_poses: `[object, 7]` where all objects lie.
+        object_poses: `[object, 7]` where all objects lie: position [m], quaternion.
+
+    Returns:
+        Key poses `[pose, 8]` and what happens between them.
+
+    Raises:
+        WorkcellError: the cell has no task data.
+        UnknownNameError: no such object.
     """
     return _MAKERS[type(require_task_data(cell))](cell, object_name, object_poses)
 
@@ -74,6 +81,13 @@ def read_task(cell: Workcell, path: Path) -> Task:
     """Read a task file: JSON with `object`, and `scene_seed` or `object_poses`.
 
     `key_poses` replaces the key poses that follow from the cell's data, see `with_key_poses`.
+
+    Args:
+        cell: with task data.
+        path: of the file.
+
+    Returns:
+        Key poses `[pose, 8]` and what happens between them.
 
     Raises:
         TaskError: unreadable, or a field that is missing or of the wrong shape.

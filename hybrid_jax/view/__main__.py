@@ -4,7 +4,6 @@
 import time
 from pathlib import Path
 
-from hybrid_jax.compilecache import enable_compile_cache
 from hybrid_jax.errors import HybridJaxError
 from hybrid_jax.terminal import remark, run_main
 
@@ -31,7 +30,6 @@ def main(
         ) from None
     from hybrid_jax.runfolder import open_run  # noqa: PLC0415
 
-    enable_compile_cache()
     page = ViewPage(open_run(run), host, port, meshes)
     remark(f"open {page.address} in a browser; Ctrl-C ends it")
     try:

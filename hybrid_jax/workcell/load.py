@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from hybrid_jax.compilecache import enable_compile_cache
 from hybrid_jax.errors import WorkcellError
 from hybrid_jax.quiet import engine_messages
 from hybrid_jax.types import Workcell
@@ -48,12 +49,21 @@ def load_workcell(name_or_path: str | Path, *, mesh_tolerance: float = MESH_TOLE
     """Load a work cell by the name of a shipped one or from an MJCF file.
 
     A file `CELL.toml` beside `CELL.xml` holds the task data (objects, grasps, strokes). Joint
-    velocity and acceleration limits stand in the joints' `user` data.
+    velocity and acceleration limits stand in the joints' `user` data. Compiled programs are kept
+    between processes from now on, see `compilecache`.
+
+    Args:
+        name_or_path: name of a shipped cell, or path of an MJCF, URDF or MJB file.
+        mesh_tolerance: how far the boxes of a mesh may stand out of its convex hull [m].
+
+    Returns:
+        The cell with its objects and arm as in the keyframe `home`.
 
     Raises:
         UnknownNameError: no such cell; the message lists the shipped ones.
         WorkcellError: the cell cannot be planned in; the message names the geom or joint.
     """
+    enable_compile_cache()
     path = find_workcell(name_or_path)
     model = read_model(path)
     task = read_task_data(path.with_suffix(".toml"))

@@ -37,6 +37,7 @@ class ImportConfig:
 
 
 def unit_factor(kind: str, unit: str | None, known: dict, where: str) -> float:
+    """Factor of a stated unit to ours; DemonstrationError where it is none or unknown."""
     if unit not in known:
         stated = f"states the unit {unit!r}" if unit else "states no unit"
         raise DemonstrationError(
