@@ -6,7 +6,6 @@ Nothing in a file is executed when it is read. The header says what it holds and
 
 import json
 import os
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -72,10 +71,8 @@ def load(path: Path, kind: str, digest: str | None) -> tuple[dict, dict]:
     if not path.is_file():
         raise RunFolderError(f"{path} is missing")
     try:
-        with np.load(path, allow_pickle=False) as file:
-            flat = {name: file[name] for name in file.files}
-        header = json.loads(str(flat.pop(_HEADER)))
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        header, flat = _parts(path)
+    except Exception as error:  # noqa: BLE001  zip, zlib and NumPy each have their own for damage
         raise RunFolderError(f"{path} is damaged or not one of our files: {error}") from None
     if header.get("format") != FORMAT or header.get("kind") != kind:
         raise RunFolderError(
@@ -86,10 +83,41 @@ def load(path: Path, kind: str, digest: str | None) -> tuple[dict, dict]:
         raise RunFolderError(
             f"{path} belongs to another work cell ({header['workcell'][:12]}, not {digest[:12]})"
         )
+    return header, flat
+
+
+def _parts(path: Path) -> tuple[dict, dict]:
+    """Header and nested arrays of a file, whatever is wrong with it."""
+    with np.load(path, allow_pickle=False) as file:
+        flat = {name: file[name] for name in file.files}
+    header = json.loads(str(flat.pop(_HEADER)))
+    if not isinstance(header.get("workcell"), str):
+        raise ValueError("its header names no work cell")
     flat |= dict.fromkeys(header.get("empty", ()), traverse_util.empty_node)
     return header, traverse_util.unflatten_dict(flat, sep="/")
 
 
-def restore(template: Any, state: dict) -> Any:
-    """Put loaded arrays into the structure of `template`."""
-    return serialization.from_state_dict(template, state)
+def restore(template: Any, state: dict, what: str, *, batched: bool = False) -> Any:
+    """Put loaded arrays into the structure of `template`.
+
+    Args:
+        template: a pytree like the one that was saved.
+        state: from `load`.
+        what: the file, for the message.
+        batched: were the arrays saved with further axes in front?
+
+    Raises:
+        RunFolderError: an array is missing, too many, of another shape, or holds no numbers.
+    """
+    try:
+        found = serialization.from_state_dict(template, state)
+        pairs = zip(jax.tree.leaves(template), jax.tree.leaves(found), strict=True)
+        shapes = [(np.shape(a), np.shape(b)) for a, b in pairs]
+        if not all(np.asarray(a).dtype.kind in "biuf" for a in jax.tree.leaves(found)):
+            raise ValueError("they are no real numbers")
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise RunFolderError(f"{what} holds other arrays than it should: {error}") from None
+    for wanted, there in shapes:
+        if wanted != (there[len(there) - len(wanted) :] if batched else there):
+            raise RunFolderError(f"{what} holds an array of shape {there} where {wanted} is due")
+    return found

@@ -40,7 +40,7 @@ def _read_checkpoint(run: Run, name: str, world, net, config: programs.Config) -
                 f"train anew, or go on with the preset that it was made with"
             )
     fresh = programs.make_programs(world, net, config).start((config.seed,))
-    return jax.tree.map(jnp.asarray, artifacts.restore(fresh, saved))
+    return jax.tree.map(jnp.asarray, artifacts.restore(fresh, saved, str(run.path(name))))
 
 
 def train_agent(

@@ -14,6 +14,8 @@ from hybrid_jax.presets import PRESETS, Preset
 from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.load import load_workcell
 
+_CONFIG = {"workcell": str, "digest": str, "preset": str, "seed": int, "skills": str | None}
+"""Fields of `config.json` that are read, and of what type they are."""
 STAGES = ("map", "lfd", "drl", "switch", "demo")
 """Stages of a run, in order."""
 
@@ -79,9 +81,10 @@ class Run:
 def _metrics_of(line: str) -> dict | None:
     try:
         row = json.loads(line)
-    except ValueError:
+    except (ValueError, RecursionError):
         return None
-    return row if isinstance(row, dict) and "step" in row else None
+    sound = isinstance(row, dict) and isinstance(row.get("step"), int | float)
+    return row if sound else None
 
 
 def _free_folder(parent: Path, name: str) -> Path:
@@ -145,19 +148,34 @@ def open_run(folder: Path | str | None, workcell: str = "") -> Run:
         RunFolderError: no run there, or its cell has changed since.
     """
     folder = Path(folder) if folder else _latest_folder(Path("runs"), Path(workcell).stem)
+    values = read_config(folder)
+    cell = load_workcell(values["workcell"])
+    if cell.source.digest != values["digest"]:
+        raise RunFolderError(
+            f"{folder}: the run was made for another version of cell {values['workcell']!r} "
+            f"({values['digest'][:12]}, now {cell.source.digest[:12]}); start a new run"
+        )
+    skills = Path(values["skills"]) if values["skills"] else None
+    return Run(folder, cell, values["preset"], values["seed"], skills, values["workcell"])
+
+
+def read_config(folder: Path) -> dict:
+    """The settings of a run, `config.json`.
+
+    Raises:
+        RunFolderError: missing, damaged, or a field of another kind than it should be.
+    """
     path = folder / "config.json"
     if not path.is_file():
         raise RunFolderError(f"{folder} is no run folder: {path.name} is missing")
     try:
         values = json.loads(path.read_text())
-        cell = load_workcell(values["workcell"])
-        if cell.source.digest != values["digest"]:
-            raise RunFolderError(
-                f"{path}: the run was made for another version of cell {values['workcell']!r} "
-                f"({values['digest'][:12]}, now {cell.source.digest[:12]}); start a new run"
-            )
-        skills = values.get("skills")
-        skills = Path(skills) if skills else None
-        return Run(folder, cell, values["preset"], values["seed"], skills, values["workcell"])
-    except (ValueError, KeyError) as error:
+        values = {"skills": None} | values
+        wrong = [k for k, kind in _CONFIG.items() if not isinstance(values[k], kind)]
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise RunFolderError(f"{path} is damaged: {error!r}") from None
+    if wrong:
+        raise RunFolderError(f"{path} is damaged: {wrong[0]!r} is {values[wrong[0]]!r}")
+    if values["preset"] not in PRESETS:
+        raise UnknownNameError(f"preset in {path}", values["preset"], PRESETS)
+    return values

@@ -18,6 +18,7 @@ from hybrid_jax.agents import controllers, dqn, joint, switching
 from hybrid_jax.agents.segments import Segments, refuse_infeasible, with_room
 from hybrid_jax.checkpoints import discard, train_agent
 from hybrid_jax.demonstrating import show
+from hybrid_jax.errors import RunFolderError
 from hybrid_jax.feasibility import building
 from hybrid_jax.feasibility.judging import Reason
 from hybrid_jax.planner import harvest
@@ -121,8 +122,12 @@ def training_segments(run: Run, quiet: bool) -> Segments:
         found = collect_segments(run, "collect", TRAINING_TASKS, run.preset.tasks, quiet)
         run.save(path.name, "segments", found)
     _, state = run.load(path.name, "segments")
-    scene = artifacts.restore(run.cell.scene, state["scene"])
-    segments = Segments(scene, state["start"], state["goal"])
+    try:
+        parts = state["scene"], state["start"], state["goal"]
+    except KeyError as error:
+        raise RunFolderError(f"{path} lacks the array {error}") from None
+    scene = artifacts.restore(run.cell.scene, parts[0], str(path), batched=True)
+    segments = Segments(scene, *parts[1:])
     margin = run.preset.joint.reach.margin
     # beside a key pose a skill may come closer than the agent does
     segments = with_room(run.cell, jax.tree.map(jnp.asarray, segments), margin)

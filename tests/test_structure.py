@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""The public names resolve, imports go one way, and importing is quick and silent."""
+"""The public names resolve, and imports go one way."""
 
 import ast
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -41,11 +39,3 @@ def test_kernels_do_not_know_mujoco():
             if isinstance(node, ast.Import)
             for alias in node.names
         ]
-
-
-def test_import_is_silent():
-    done = subprocess.run(
-        [sys.executable, "-c", "import hybrid_jax.agents.ppo, hybrid_jax.simulation.physics"],
-        capture_output=True, text=True,
-    )  # fmt: skip
-    assert done.returncode == 0 and done.stdout == "" and "warp" not in done.stderr

@@ -13,7 +13,7 @@ import numpy as np
 from jax import Array
 
 from hybrid_jax import artifacts
-from hybrid_jax.errors import MapError
+from hybrid_jax.errors import MapError, RunFolderError
 from hybrid_jax.feasibility.flooding import Block, Field, Flood
 from hybrid_jax.feasibility.grid import MapConfig, nearest_cell, orientations
 from hybrid_jax.feasibility.judging import Judge, Level, Reason
@@ -23,6 +23,7 @@ _SCALE_SAMPLES = 65536
 _PIECE = 262_144
 """Random configurations drawn at a time."""
 _KIND = "feasibility map"
+_ON_GRID = ("feasibility", "reason", "manipulability", "clearance")
 _BLOCK = "block_{:05d}.npz"
 
 
@@ -266,4 +267,16 @@ def load_map(path: Path, cell: Workcell) -> FeasibilityMap:
         RunFolderError: missing, damaged, or the map of another cell.
     """
     _, state = artifacts.load(path, _KIND, cell.source.digest)
-    return FeasibilityMap(**{k: jnp.asarray(v) for k, v in state.items()})
+    try:
+        fmap = FeasibilityMap(**{k: jnp.asarray(v) for k, v in state.items()})
+        grid = (*fmap.feasibility.shape[:3], len(fmap.orientations))
+        shapes = [getattr(fmap, name).shape for name in _ON_GRID]
+        sound = all(shape == grid for shape in shapes) and fmap.lower.shape == (3,)
+        sound &= fmap.configuration.shape == (*grid, len(cell.joint_names))
+        sound &= fmap.orientations.shape == (grid[3], 4) and fmap.manipulability_scale.shape == ()
+        sound &= fmap.spacing.shape == () and bool(fmap.spacing > 0)
+    except (TypeError, ValueError, AttributeError, IndexError) as error:
+        raise RunFolderError(f"{path} is no complete map: {error}") from None
+    if not sound:
+        raise RunFolderError(f"{path} is no map of one grid: its arrays do not fit together")
+    return fmap

@@ -36,7 +36,7 @@ def load_policy(
     """A trained policy of the run."""
     _, state = run.load(name, kind)
     template = networks.blank_policy(net, observations)
-    return jax.tree.map(jnp.asarray, artifacts.restore(template, state))
+    return jax.tree.map(jnp.asarray, artifacts.restore(template, state, str(run.path(name))))
 
 
 def optimal_switcher(config: switching.SwitchConfig) -> Switcher:

@@ -191,6 +191,8 @@ def load_demonstration(path: Path) -> Demonstration:
     try:
         values = {name: np.asarray(arrays[name], float) for name in ("times", "poses", "gripper")}
         demo = Demonstration(path.stem, **values, **header["demonstration"])
+        if not all(isinstance(v, str) for v in (demo.robot, demo.frame, demo.note)):
+            raise ValueError("robot, frame and note must be text")
     except (KeyError, TypeError, ValueError) as error:
         raise RunFolderError(f"{path} is damaged: {error!r}") from None
     check_demonstration(demo)

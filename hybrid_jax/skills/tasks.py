@@ -94,7 +94,7 @@ def read_task(cell: Workcell, path: Path) -> Task:
     """
     try:
         values = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise TaskError(f"{path}: {error}") from None
     known = ("object", "scene_seed", "object_poses", "key_poses")
     if not isinstance(values, dict) or not isinstance(values.get("object"), str):

@@ -4,9 +4,11 @@
 The file's `kind` says what is done in the cell: `handling` or `inspection`.
 """
 
+import math
 import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import get_args, get_origin, get_type_hints
 
 from hybrid_jax.errors import UnknownNameError, WorkcellError
 
@@ -200,15 +202,51 @@ def _fixed(value):
 
 def _record(kind, values: dict, where: str):
     """Build a spec from a TOML table, turning lists into tuples."""
+    if not isinstance(values, dict):
+        raise WorkcellError(f"{where} must be a table, got {values!r}")
     fixed = {k: _fixed(v) for k, v in values.items()}
     try:
-        return kind(**fixed)
+        found = kind(**fixed)
     except TypeError as error:
         fields = ", ".join(kind.__dataclass_fields__)
         raise WorkcellError(f"{where}: {error}; the fields are: {fields}") from None
+    for name, wanted in get_type_hints(kind).items():
+        value = getattr(found, name)
+        if not _fits(value, wanted):
+            raise WorkcellError(f"{where}: {name} is {value!r}; it must be {_in_words(wanted)}")
+    return found
+
+
+def _fits(value, wanted) -> bool:
+    """Is a value of a TOML file what a field is annotated with?"""
+    inner = get_args(wanted)
+    if get_origin(wanted) is tuple:
+        if not isinstance(value, tuple):
+            return False
+        if inner[-1] is Ellipsis:
+            return all(_fits(v, inner[0]) for v in value)
+        return len(value) == len(inner) and all(map(_fits, value, inner))
+    if inner:  # a union
+        return any(_fits(value, one) for one in inner)
+    if wanted is float:
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        return number and math.isfinite(value)
+    return isinstance(value, wanted) and not (wanted is int and isinstance(value, bool))
+
+
+def _in_words(wanted) -> str:
+    words = {float: "a finite number", str: "text", int: "a whole number"}
+    if get_origin(wanted) is not tuple:
+        return words.get(wanted, str(wanted))
+    inner = get_args(wanted)
+    if inner[-1] is Ellipsis:
+        return f"a list, each item {_in_words(inner[0])}"
+    return f"a list of {len(inner)}, each item {_in_words(inner[0])}"
 
 
 def _records(kind, tables: list[dict], where: str) -> tuple:
+    if not isinstance(tables, list):
+        raise WorkcellError(f"{where} must be a list of tables, got {tables!r}")
     return tuple(_record(kind, table, where) for table in tables)
 
 
@@ -242,10 +280,10 @@ def read_task_data(path: Path) -> TaskData | None:
         return None
     try:
         data = tomllib.loads(path.read_text())
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # syntax, or bytes that are no text
         raise WorkcellError(f"{path.name} is no valid TOML: {error}") from None
     kind = data.pop("kind", "handling")
-    if kind not in _READERS:
+    if not isinstance(kind, str) or kind not in _READERS:
         raise UnknownNameError(f"kind of task in {path.name}", kind, _READERS)
     if "controller" in data:
         table, where = data["controller"], f"{path.name} [controller]"

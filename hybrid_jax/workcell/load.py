@@ -18,6 +18,12 @@ from hybrid_jax.workcell.description import read_task_data
 from hybrid_jax.workcell.layout import TOOL_NAMES, home_qpos
 from hybrid_jax.workcell.scene import place_objects
 
+_NUMBERS = ("body_pos", "body_quat", "geom_pos", "geom_quat", "geom_size", "jnt_pos", "jnt_axis",
+            "jnt_range", "site_pos", "site_quat", "mesh_vert", "qpos0", "key_qpos")  # fmt: skip
+"""Arrays of a model that geometry is computed from."""
+_ABSURD = 1e6
+"""No length of a work cell is larger [m]."""
+
 
 def _read_urdf(path: Path) -> mujoco.MjModel:
     """Compile a URDF; its tool is the link with a usual name, else the last link of the arm."""
@@ -32,17 +38,23 @@ def read_model(path: Path) -> mujoco.MjModel:
     """Compile an MJCF, URDF or MJB file.
 
     Raises:
-        WorkcellError: MuJoCo cannot read it; its own message is passed on.
+        WorkcellError: MuJoCo cannot read it (its own message is passed on), or a number in it is
+            not finite or absurd.
     """
     try:
         with engine_messages(path.name):
             if path.suffix == ".mjb":
-                return mujoco.MjModel.from_binary_path(str(path))
-            if path.suffix == ".urdf":
-                return _read_urdf(path)
-            return mujoco.MjModel.from_xml_path(str(path))
+                model = mujoco.MjModel.from_binary_path(str(path))
+            elif path.suffix == ".urdf":
+                model = _read_urdf(path)
+            else:
+                model = mujoco.MjModel.from_xml_path(str(path))
     except ValueError as error:
         raise WorkcellError(f"{path.name}: MuJoCo cannot read it: {error}") from None
+    for name in _NUMBERS:
+        if not (np.abs(getattr(model, name)) < _ABSURD).all():
+            raise WorkcellError(f"{path.name}: {name} holds a number that is not finite or absurd")
+    return model
 
 
 def load_workcell(name_or_path: str | Path, *, mesh_tolerance: float = MESH_TOLERANCE) -> Workcell:

@@ -47,5 +47,5 @@ def read_recording(path: Path, config: ImportConfig = ImportConfig()) -> list[De
         return reader(path, config)
     except DemonstrationError:
         raise
-    except (ValueError, TypeError, OSError) as error:  # text where numbers are due, no permission
+    except Exception as error:  # noqa: BLE001  damage shows as whatever a format's reader raises
         raise DemonstrationError(f"{path} cannot be read: {error}") from None
