@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 TRAIN_ARGS ?=
 
-.PHONY: train test slow check format wheel bench clean
+.PHONY: train test slow check docs dist format clean
 
 .venv/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
@@ -26,8 +26,11 @@ check: .venv/.installed
 format: .venv/.installed
 	$(BIN)/ruff check --fix .
 
-wheel: .venv/.installed
-	$(BIN)/python -m build --wheel
+docs: .venv/.installed
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+
+dist: .venv/.installed
+	$(BIN)/python -m build
 
 clean:
 	rm -rf .venv dist build .pytest_cache .ruff_cache

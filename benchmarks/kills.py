@@ -3,9 +3,9 @@
 
     python -m benchmarks.kills --json FILE
 
-A run of preset `smoke` is made once without disturbance. Then the same run is begun again and again,
-killed after a random time, gone on with `--resume`, killed again, until it ends by itself; then
-its files are compared, array by array and metric by metric. Rates and times are left out.
+A run of preset `smoke` is made once without disturbance. Then the same run is begun again and
+again, killed after a random time, gone on with `--resume`, killed again, until it ends by itself;
+then its files are compared, array by array and metric by metric. Rates and times are left out.
 About an hour on two cores for 50 kills.
 """
 

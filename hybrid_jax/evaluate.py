@@ -34,7 +34,7 @@ def main(
         seed: of the first scene.
         paper: folder of a run of preset paper, for method paper; trained into the run's folder
             if not given.
-        video: MP4 to write instead: the scene of --seed, the first two methods side by side.
+        video: MP4 or GIF to write instead: the scene of --seed, the first two methods side by side.
         quiet: print the metrics only.
         json: print the metrics as JSON.
     """

@@ -19,6 +19,7 @@ from jax import Array
 
 from hybrid_jax.agents import controllers
 from hybrid_jax.agents.controllers import Controllers
+from hybrid_jax.errors import InputError
 from hybrid_jax.skills.costs import SegmentCosts
 from hybrid_jax.skills.segmentation import Plan
 from hybrid_jax.types import pytree
@@ -60,7 +61,7 @@ class DqnConfig:
 
     def __post_init__(self):
         if not 0.0 <= self.discount <= 1.0:
-            raise ValueError(f"discount must lie in [0, 1], got {self.discount}")
+            raise InputError(f"discount must lie in [0, 1], got {self.discount}")
 
 
 @pytree

@@ -19,6 +19,7 @@ from jax import Array
 
 from hybrid_jax.agents import networks, worlds
 from hybrid_jax.agents.networks import ActorCritic
+from hybrid_jax.errors import InputError
 from hybrid_jax.types import pytree
 
 AXIS = "copies"
@@ -55,9 +56,9 @@ class PpoConfig:
 
     def __post_init__(self):
         if not 0 <= self.discount <= 1:
-            raise ValueError(f"discount must lie in [0, 1], got {self.discount}")
+            raise InputError(f"discount must lie in [0, 1], got {self.discount}")
         if (self.envs * self.unroll) % self.minibatch:
-            raise ValueError(
+            raise InputError(
                 f"minibatch {self.minibatch} must divide envs * unroll = {self.envs * self.unroll}"
             )
 

@@ -20,6 +20,7 @@ from jax import Array
 
 from hybrid_jax.agents import networks, worlds
 from hybrid_jax.agents.networks import ActorCritic
+from hybrid_jax.errors import InputError
 from hybrid_jax.types import pytree
 
 
@@ -51,9 +52,9 @@ class SacConfig:
 
     def __post_init__(self):
         if not 0 <= self.discount <= 1:
-            raise ValueError(f"discount must lie in [0, 1], got {self.discount}")
+            raise InputError(f"discount must lie in [0, 1], got {self.discount}")
         if self.steps_per_iteration > self.replay:
-            raise ValueError(
+            raise InputError(
                 f"replay {self.replay} must hold a rollout of envs * unroll = "
                 f"{self.steps_per_iteration} transitions"
             )

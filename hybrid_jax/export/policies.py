@@ -21,7 +21,7 @@ PLATFORMS = ("cpu", "cuda", "rocm", "tpu")
 """What the exported program can be compiled for."""
 
 
-def export_policy(run: Run, path: Path) -> None:
+def export_policy(run: Run, path: Path | str) -> None:
     """Write the mode of a run's joint agent: observations `[batch, n]` to actions `[batch, joint]`.
 
     The file is a serialised `jax.export.Exported` (StableHLO in a container); any batch. Beside it
@@ -34,7 +34,7 @@ def export_policy(run: Run, path: Path) -> None:
     Raises:
         RunFolderError: the stage is missing, or the agent is the paper's.
     """
-    cell, config = run.cell, run.preset.joint
+    path, cell, config = Path(path), run.cell, run.preset.joint
     if joint.world_kind(config) is not ReachWorld:
         raise RunFolderError(
             f"{run.folder} holds the paper's agent, whose observations need the sensor of its "

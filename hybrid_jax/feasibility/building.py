@@ -4,10 +4,11 @@
 import hashlib
 import itertools
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -140,8 +141,8 @@ def _fingerprint(cell: Workcell, config: MapConfig, seed: int) -> str:
 class _Partial:
     """Finished blocks on disk, so that an interrupted build goes on where it stopped."""
 
-    def __init__(self, folder: Path | None, fingerprint: str):
-        self.folder, self.fingerprint = folder, fingerprint
+    def __init__(self, folder: Path | str | None, fingerprint: str):
+        self.folder, self.fingerprint = folder and Path(folder), fingerprint
 
     def read(self, number: int) -> dict | None:
         if not self.folder or not (path := self.folder / _BLOCK.format(number)).is_file():
@@ -184,8 +185,8 @@ def build_feasibility_map(
     *,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
-    partial: Path | None = None,
-    devices=None,
+    partial: Path | str | None = None,
+    devices: Sequence[jax.Device] | None = None,
 ) -> FeasibilityMap:
     """Judge every pose of the grid.
 
@@ -239,7 +240,7 @@ def build_feasibility_map(
     )
 
 
-def save_map(path: Path, cell: Workcell, fmap: FeasibilityMap) -> None:
+def save_map(path: Path | str, cell: Workcell, fmap: FeasibilityMap) -> None:
     """Write a map with its cell's hash.
 
     Args:
@@ -250,10 +251,10 @@ def save_map(path: Path, cell: Workcell, fmap: FeasibilityMap) -> None:
     Raises:
         OSError: it cannot be written; what was there before stays.
     """
-    artifacts.save(path, _KIND, cell.source.digest, fmap)
+    artifacts.save(Path(path), _KIND, cell.source.digest, fmap)
 
 
-def load_map(path: Path, cell: Workcell) -> FeasibilityMap:
+def load_map(path: Path | str, cell: Workcell) -> FeasibilityMap:
     """Read a map.
 
     Args:
@@ -266,7 +267,7 @@ def load_map(path: Path, cell: Workcell) -> FeasibilityMap:
     Raises:
         RunFolderError: missing, damaged, or the map of another cell.
     """
-    _, state = artifacts.load(path, _KIND, cell.source.digest)
+    _, state = artifacts.load(Path(path), _KIND, cell.source.digest)
     try:
         fmap = FeasibilityMap(**{k: jnp.asarray(v) for k, v in state.items()})
         grid = (*fmap.feasibility.shape[:3], len(fmap.orientations))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from hybrid_jax.errors import InputError
 from hybrid_jax.ik import IkConfig
 
 
@@ -49,11 +50,11 @@ class MapConfig:
 
     def __post_init__(self):
         if self.spacing <= 0 or any(u < v for u, v in zip(self.upper, self.lower, strict=True)):
-            raise ValueError(
+            raise InputError(
                 f"the grid is empty: lower {self.lower}, upper {self.upper}, spacing {self.spacing}"
             )
         if self.orientations is not None and self.orientations < 1:
-            raise ValueError(f"orientations must be at least 1 or None, got {self.orientations}")
+            raise InputError(f"orientations must be at least 1 or None, got {self.orientations}")
 
     @property
     def shape(self) -> tuple[int, int, int, int]:

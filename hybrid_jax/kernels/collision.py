@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Float, Int
 
+from hybrid_jax.errors import InputError
 from hybrid_jax.kernels import components as co
 from hybrid_jax.kernels import distance, nearest
 from hybrid_jax.kernels.batching import batch_size, batched, in_chunks, redo
@@ -47,7 +48,7 @@ def _groups(cell: Workcell, own: Blocks, parts: str) -> list:
     """
     pairs, scene, fixtures = cell.pairs, cell.scene, cell.fixtures
     if pairs.world.shape[0] != 1:
-        raise ValueError("a batch of cells must share its contact pairs: vmap over scenes only")
+        raise InputError("a batch of cells must share its contact pairs: vmap over scenes only")
     payload, count = pairs.payload[0], fixtures.count
     found = []
     if parts != "own":

@@ -10,6 +10,7 @@ import jax
 import numpy as np
 
 from hybrid_jax.agents.segments import single_segment
+from hybrid_jax.errors import InputError
 from hybrid_jax.keys import fold_in, split
 from hybrid_jax.planner import smoothing
 from hybrid_jax.planner.checking import Engine
@@ -25,7 +26,7 @@ from hybrid_jax.types import Scene, Source, Status
 def joint_agent_only(planner: Planner, task: Task, *, key) -> PlanResult:
     """Plan a task with the planner's bridger alone; checked like every plan."""
     if planner.bridge is None:
-        raise ValueError("the planner has no bridger")
+        raise InputError("the planner has no bridger")
     engine = Engine(planner.cell, planner.config.check)
     task, note, refusal = admit(planner.cell, engine, task)
     if refusal:

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hybrid_jax.agents.segments import Segments
+from hybrid_jax.errors import InputError
 from hybrid_jax.planner.labelling import LabelConfig
 from hybrid_jax.planner.lfd import SkillChooser, skill_paths
 from hybrid_jax.planner.routing import TOGETHER, Leg, Routes, label_paths
@@ -62,7 +63,7 @@ def harvest(
         progress: called with (tasks done, tasks in all).
 
     Raises:
-        ValueError: no task left an infeasible segment: there is nothing to train on.
+        InputError: no task left an infeasible segment: there is nothing to train on.
     """
     found: list[Segments] = []
     for part, first in enumerate(range(0, len(tasks), TOGETHER)):
@@ -75,7 +76,11 @@ def harvest(
         if progress:
             progress(first + len(some), len(tasks))
     if not found:
-        raise ValueError("no random task left an infeasible segment; the skills alone suffice")
+        raise InputError(
+            f"none of {len(tasks)} random tasks left an infeasible segment to train on: either the "
+            "skills alone suffice, or they cover none of these tasks. What they lack is said by: "
+            "python -m hybrid_jax.check CELL --tasks 5 --skills DIR"
+        )
     return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *found)
 
 

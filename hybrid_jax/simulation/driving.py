@@ -7,6 +7,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from hybrid_jax.errors import InputError
 from hybrid_jax.planner.records import PlanResult
 from hybrid_jax.simulation.plant import Plan, Planned, Roll, Rolled, Steps
 from hybrid_jax.skills.task import Task
@@ -76,7 +77,7 @@ def _plan(plan: Planning | None, wishes: dict[int, Plan]) -> dict[int, Planned]:
     if not wishes:
         return {}
     if plan is None:
-        raise ValueError("a run asks for a plan, and there is no planner")
+        raise InputError("a run asks for a plan, and there is no planner")
     began = time.perf_counter()
     results = plan([wish.task for wish in wishes.values()])
     each = (time.perf_counter() - began) / len(wishes)

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from mujoco import mjx, rollout
 
-from hybrid_jax.errors import UnknownNameError
+from hybrid_jax.errors import InputError, UnknownNameError
 from hybrid_jax.simulation.physics import device_model
 from hybrid_jax.simulation.sensing import SensedCell
 
@@ -87,7 +87,7 @@ class DeviceEngine:
     ) -> tuple[States, Touching]:
         """As `HostEngine.roll`; the runs must share one model."""
         if any(model is not models[0] for model in models):
-            raise ValueError("MJX rolls runs of one model only: give each model a call of its own")
+            raise InputError("MJX rolls runs of one model only: give each model a call of its own")
         run, count = _rolling(_ById(models[0])), len(states)
         self.size = max(self.size, count)
         rows = np.minimum(np.arange(self.size), count - 1)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hybrid_jax.errors import InputError
 from hybrid_jax.planner.scenes import placed_pose
 from hybrid_jax.simulation.plant import Plant, Steps
 from hybrid_jax.simulation.sensing import OBJECTS
@@ -77,13 +78,13 @@ class Execution:
             config: times and thresholds.
 
         Raises:
-            ValueError: there is nothing to carry out, or it starts elsewhere than the arm stands.
+            InputError: there is nothing to carry out, or it starts elsewhere than the arm stands.
         """
         if not phases:
-            raise ValueError("nothing to execute: the plan holds no trajectory")
+            raise InputError("nothing to execute: the plan holds no trajectory")
         away = np.abs(plant.target - phases[0].positions[0]).max()
         if away > 0.01:
-            raise ValueError(f"the arm is {away:.2f} rad away from where the plan starts")
+            raise InputError(f"the arm is {away:.2f} rad away from where the plan starts")
         self.plant, self.task, self.phases, self.config = plant, task, phases, config
         self.object = plant.layout.object_names.index(task.object_name)
         self.gripper = plant.spec.gripper

@@ -7,6 +7,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float
 
+from hybrid_jax.errors import InputError
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.skills.distance import BETAS, features
 from hybrid_jax.skills.library import MAX_SKILLS, SkillConfig, SkillLibrary
@@ -41,7 +42,7 @@ def pad_task(task: Task) -> tuple[np.ndarray, np.ndarray, int]:
     """Key poses that skills must cover, carrying flags and count, padded to `MAX_KEY_POSES`."""
     (shown, held), count = task.shown, len(task.shown[0])
     if not 2 <= count <= MAX_KEY_POSES:
-        raise ValueError(f"a task has 2 to {MAX_KEY_POSES} key poses, got {count}")
+        raise InputError(f"a task has 2 to {MAX_KEY_POSES} key poses, got {count}")
     poses = np.concatenate([shown, shown[-1:].repeat(MAX_KEY_POSES - count, 0)])
     carrying = np.zeros(MAX_KEY_POSES, bool)
     carrying[: count - 1] = held

@@ -8,7 +8,7 @@ import numpy as np
 from flax import struct
 from jax import Array
 
-from hybrid_jax.errors import DemonstrationError, UnknownNameError
+from hybrid_jax.errors import DemonstrationError, InputError, UnknownNameError
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.skills.cleaning import clean
 from hybrid_jax.skills.cutting import at_gripper_events
@@ -37,7 +37,7 @@ class SkillConfig:
             if name not in known:
                 raise UnknownNameError(f"skill {kind}", name, known)
         if not self.tolerance > 0:
-            raise ValueError(f"tolerance must be positive, got {self.tolerance}")
+            raise InputError(f"tolerance must be positive, got {self.tolerance}")
 
 
 @pytree

@@ -77,7 +77,7 @@ def task_values(task: Task) -> dict:
     }
 
 
-def read_task(cell: Workcell, path: Path) -> Task:
+def read_task(cell: Workcell, path: Path | str) -> Task:
     """Read a task file: JSON with `object`, and `scene_seed` or `object_poses`.
 
     `key_poses` replaces the key poses that follow from the cell's data, see `with_key_poses`.
@@ -92,6 +92,7 @@ def read_task(cell: Workcell, path: Path) -> Task:
     Raises:
         TaskError: unreadable, or a field that is missing or of the wrong shape.
     """
+    path = Path(path)
     try:
         values = json.loads(path.read_text())
     except (OSError, ValueError, RecursionError) as error:

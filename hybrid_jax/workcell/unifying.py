@@ -4,6 +4,7 @@
 import jax.numpy as jnp
 import numpy as np
 
+from hybrid_jax.errors import InputError
 from hybrid_jax.types import ContactPairs, Shapes, Workcell, WorkcellSource
 
 
@@ -47,14 +48,14 @@ def unify_shapes(cells: list[Workcell]) -> list[Workcell]:
         cells: of one robot, without movable objects.
 
     Raises:
-        ValueError: a cell has movable objects, or another robot.
+        InputError: a cell has movable objects, or another robot.
     """
     robot = cells[0].robot.link, cells[0].robot.shapes.count, cells[0].pairs.cover
     for cell in cells:
         if cell.objects.count:
-            raise ValueError(f"the cell {cell.source.name!r} has movable objects")
+            raise InputError(f"the cell {cell.source.name!r} has movable objects")
         if (cell.robot.link, cell.robot.shapes.count, cell.pairs.cover) != robot:
-            raise ValueError(f"the cell {cell.source.name!r} has another robot than the first one")
+            raise InputError(f"the cell {cell.source.name!r} has another robot than the first one")
     slim = max(cell.fixtures.slim for cell in cells)
     boxes = max(cell.fixtures.count - cell.fixtures.slim for cell in cells)
     group, found = f"{cells[0].source.digest}-{len(cells)}-{slim}-{boxes}", []
