@@ -7,8 +7,8 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -142,7 +142,8 @@ class _Partial:
     """Finished blocks on disk, so that an interrupted build goes on where it stopped."""
 
     def __init__(self, folder: Path | str | None, fingerprint: str):
-        self.folder, self.fingerprint = folder and Path(folder), fingerprint
+        self.folder = Path(folder) if folder else None
+        self.fingerprint = fingerprint
 
     def read(self, number: int) -> dict | None:
         if not self.folder or not (path := self.folder / _BLOCK.format(number)).is_file():
@@ -186,7 +187,7 @@ def build_feasibility_map(
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
     partial: Path | str | None = None,
-    devices: Sequence[jax.Device] | None = None,
+    devices: Sequence[Any] | None = None,
 ) -> FeasibilityMap:
     """Judge every pose of the grid.
 
