@@ -6,6 +6,7 @@ from pathlib import Path
 
 import tyro
 
+from hybrid_jax.progress import working
 from hybrid_jax.terminal import answer, run_main
 
 
@@ -30,10 +31,11 @@ def main(
     from hybrid_jax.workcell.diagnosis import WRONG, diagnose  # noqa: PLC0415
 
     path = find_workcell(cell)
-    found = diagnose(path)
+    with working("check", "looking the model over", quiet):
+        found = diagnose(path)
+        fit = all(finding.level != WRONG for finding in found)
+        last = [describe(path)] if fit else []
     rows = [(finding.level, finding.text) for finding in found]
-    fit = all(finding.level != WRONG for finding in found)
-    last = [describe(path)] if fit else []
     if fit and tasks:
         fit, doubts, sentence = plan_tasks(path, tasks, skills, quiet)
         rows, last = rows + doubts, [*last, sentence]
@@ -79,7 +81,6 @@ def plan_tasks(
     from hybrid_jax.planner.pipeline import plan_batch  # noqa: PLC0415
     from hybrid_jax.planner.records import Planner  # noqa: PLC0415
     from hybrid_jax.presets import DEFAULT  # noqa: PLC0415
-    from hybrid_jax.progress import working  # noqa: PLC0415
     from hybrid_jax.skills.tasks import random_task  # noqa: PLC0415
     from hybrid_jax.types import Status  # noqa: PLC0415
     from hybrid_jax.workcell.diagnosis import DOUBTFUL  # noqa: PLC0415

@@ -13,7 +13,7 @@ from hybrid_jax.terminal import remark
 
 FPS = 10
 """Frames of a film per simulated second."""
-GIF_SPEED, GIF_COLOURS = 4, 64
+GIF_SPEED, GIF_COLOURS = 6, 64
 """How many times as fast a GIF runs, and its colours."""
 SIZE = 360, 480
 """Height and width of a picture [pixel]."""
@@ -100,10 +100,9 @@ def save_film(path: Path, pictures: Iterable[np.ndarray]) -> bool:
 
 
 def _save_gif(path: Path, pictures: list[np.ndarray]) -> bool:
-    """Half the size, `GIF_SPEED` times as fast, with few colours: for pages."""
+    """`GIF_SPEED` times as fast, with few colours: for pages."""
     shown = [Image.fromarray(picture) for picture in pictures[::GIF_SPEED]]
-    small = [image.resize((image.width // 2, image.height // 2)) for image in shown]
-    first, *others = (image.quantize(GIF_COLOURS, dither=Image.Dither.NONE) for image in small)
+    first, *others = (image.quantize(GIF_COLOURS, dither=Image.Dither.NONE) for image in shown)
     first.save(path, save_all=True, append_images=others, duration=1000 // FPS, loop=0)
     return True
 

@@ -22,7 +22,7 @@ def board(folder: Path) -> Callable[[str, dict], None]:
         raise HybridJaxError(
             "--tensorboard needs the package tensorboardX: pip install 'hybrid_jax[tensorboard]'"
         ) from None
-    writer = SummaryWriter(str(folder), flush_secs=10)
+    writer = SummaryWriter(str(folder), flush_secs=2)
 
     def listen(stage: str, values: dict) -> None:
         numbers = {k: v for k, v in values.items() if isinstance(v, int | float) and k != "step"}

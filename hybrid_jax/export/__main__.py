@@ -3,21 +3,24 @@
 
 from pathlib import Path
 
+from hybrid_jax.progress import working
 from hybrid_jax.terminal import answer, run_main
 
 
-def main(run: Path, out: Path, json: bool = False) -> int:
+def main(run: Path, out: Path, quiet: bool = False, json: bool = False) -> int:
     """Write the policy of a run's joint agent as StableHLO, and a JSON file that describes it.
 
     Args:
         run: folder of a trained run.
         out: file to write; the description gets the same name with .json.
+        quiet: print the answer only.
         json: print the answer as JSON.
     """
     from hybrid_jax.export.policies import export_policy  # noqa: PLC0415
     from hybrid_jax.runfolder import open_run  # noqa: PLC0415
 
-    export_policy(open_run(run), out)
+    with working("export", "lowering the policy", quiet):
+        export_policy(open_run(run), out)
     files = [str(out), str(out.with_suffix(".json"))]
     answer(f"written to {' and '.join(files)}", {"files": files}, json)
     return 0
