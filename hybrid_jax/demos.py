@@ -12,7 +12,7 @@ from hybrid_jax.skills.demonstration import (
     save_demonstration,
 )
 from hybrid_jax.skills.importing import ImportConfig, read_recording
-from hybrid_jax.terminal import answer, run_cli
+from hybrid_jax.terminal import answer, run_subcommands
 from hybrid_jax.workcell.assets import demonstrations_folder
 
 
@@ -101,4 +101,4 @@ COMMANDS = {
 }
 
 if __name__ == "__main__":
-    run_cli(lambda: tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="hybrid_jax.demos"))
+    run_subcommands(COMMANDS)

@@ -14,8 +14,8 @@ def main(
     Args:
         run: folder of a trained run.
         task: JSON with `object`, and `scene_seed` or `object_poses`.
-        out: file to write: .json or .csv in the layout of ROS's JointTrajectory, or .ls, a program
-            for the controller of a cell that has one. Without a plan only .json is written.
+        out: file to write; .json or .csv (ROS's JointTrajectory), or .ls (TP program, where
+            the cell says that its controller runs them). Without a plan only .json is written.
         seed: of IK and rollouts.
         quiet: print the answer only.
         json: print the answer as JSON.

@@ -53,4 +53,18 @@ def run_cli(command: Callable[[], int]) -> None:
 
 def run_main(main: Callable[..., int]) -> None:
     """`run_cli` of a function that is called with the terminal's arguments."""
-    run_cli(lambda: tyro.cli(main))
+    config = (tyro.conf.FlagCreatePairsOff,)
+    run_cli(lambda: tyro.cli(main, prog=_called_as(), config=config))
+
+
+def run_subcommands(commands: dict[str, Callable[..., int]]) -> None:
+    """The same where the first argument names one of several functions."""
+    config = (tyro.conf.FlagCreatePairsOff,)
+    cli = tyro.extras.subcommand_cli_from_dict
+    run_cli(lambda: cli(commands, prog=_called_as(), config=config))
+
+
+def _called_as() -> str:
+    """How the command in this process was called, for its usage line."""
+    spec = sys.modules["__main__"].__spec__
+    return f"python -m {spec.name.removesuffix('.__main__')}" if spec else sys.argv[0]

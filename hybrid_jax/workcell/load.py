@@ -51,6 +51,10 @@ def read_model(path: Path) -> mujoco.MjModel:
                 model = mujoco.MjModel.from_xml_path(str(path))
     except ValueError as error:
         raise WorkcellError(f"{path.name}: MuJoCo cannot read it: {error}") from None
+    try:
+        model.names.decode()
+    except UnicodeDecodeError as error:
+        raise WorkcellError(f"{path.name}: a name in it is no UTF-8 text: {error}") from None
     for name in _NUMBERS:
         if not (np.abs(getattr(model, name)) < _ABSURD).all():
             raise WorkcellError(f"{path.name}: {name} holds a number that is not finite or absurd")
