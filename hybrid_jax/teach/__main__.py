@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Record demonstrations in the browser: `python -m hybrid_jax.teach --workcell NAME`."""
 
-import time
 from pathlib import Path
 
 from hybrid_jax.errors import HybridJaxError
@@ -26,6 +25,7 @@ def main(
     """
     try:
         from hybrid_jax.teach.page import TeachPage  # noqa: PLC0415
+        from hybrid_jax.webpage import serve  # noqa: PLC0415
     except ImportError as error:
         raise HybridJaxError(
             f"the page needs the package {error.name}: pip install 'hybrid_jax[teach]'"
@@ -35,14 +35,9 @@ def main(
 
     cell = load_workcell(workcell or default_workcell())
     page = TeachPage(cell, library, robot or cell.source.name, host, port)
-    remark(f"open {page.address} in a browser; Ctrl-C ends it")
-    try:
-        while True:
-            time.sleep(1.0)
-    except KeyboardInterrupt:
-        page.close()
-        remark(f"\ndemonstrations are in {library}")
-        return 0
+    serve(page)
+    remark(f"\ndemonstrations are in {library}")
+    return 0
 
 
 if __name__ == "__main__":

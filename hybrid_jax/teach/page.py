@@ -1,13 +1,10 @@
 # SPDX-License-Identifier: MIT
 """The page: a handle on the tool, buttons to record, replay and save, the skills so far."""
 
-import threading
-import time
 from pathlib import Path
 
 import numpy as np
 
-from hybrid_jax.errors import HybridJaxError
 from hybrid_jax.skills.cleaning import continuous_signs, low_pass
 from hybrid_jax.skills.demonstration import (
     Demonstration,
@@ -16,13 +13,13 @@ from hybrid_jax.skills.demonstration import (
 )
 from hybrid_jax.teach.recorder import RATE, Recorder
 from hybrid_jax.types import Workcell
+from hybrid_jax.webpage import WebPage
 from hybrid_jax.webscene import WebScene
-from hybrid_jax.webserver import address_of, close_server, open_server
 
 _NONE = "(none yet)"
 
 
-class TeachPage:
+class TeachPage(WebPage):
     """Serves the page and moves the arm after the handle until it is closed."""
 
     def __init__(
@@ -37,28 +34,14 @@ class TeachPage:
             host: address to listen at; only this machine by default.
             port: the first one that is tried.
         """
+        super().__init__(host, port, "hybrid_jax teach", RATE)
         self.library = library
         self.recorder = Recorder(cell, robot)
-        self.server = open_server(host, port, "hybrid_jax teach")
         self._scene = WebScene(self.server, cell.model)
-        self._lock = threading.Lock()
         self._replay: list[np.ndarray] = []
-        self._closing = threading.Event()
         self._view()
         self._panel()
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
-
-    @property
-    def address(self) -> str:
-        """Where a browser finds the page."""
-        return address_of(self.server)
-
-    def close(self) -> None:
-        """Stop following and take the page down."""
-        self._closing.set()
-        self._thread.join()
-        close_server(self.server)
+        self.start()
 
     def _view(self) -> None:
         tool = self.recorder.tool
@@ -71,7 +54,6 @@ class TeachPage:
 
     def _panel(self) -> None:
         gui = self.server.gui
-        self.status = gui.add_markdown("")
         self._record = gui.add_button("Record")
         self._gripper = gui.add_checkbox("Gripper closed", initial_value=False)
         self._again = gui.add_button("Replay")
@@ -81,22 +63,14 @@ class TeachPage:
         self._save = gui.add_button("Save")
         self._saved = gui.add_dropdown("Saved", options=(_NONE,), initial_value=_NONE)
         self._show = gui.add_button("Show saved")
-        self._record.on_click(lambda _: self._guarded(self._toggle))
+        self._record.on_click(lambda _: self.guarded(self._toggle))
         self._gripper.on_update(lambda _: setattr(self.recorder, "closed", self._gripper.value))
-        self._again.on_click(lambda _: self._guarded(self._play))
-        self._home.on_click(lambda _: self._guarded(self._fetch_handle))
-        self._save.on_click(lambda _: self._guarded(self._keep))
-        self._show.on_click(lambda _: self._guarded(self._draw_saved))
+        self._again.on_click(lambda _: self.guarded(self._play))
+        self._home.on_click(lambda _: self.guarded(self._fetch_handle))
+        self._save.on_click(lambda _: self.guarded(self._keep))
+        self._show.on_click(lambda _: self.guarded(self._draw_saved))
         self._list_saved()
         self.status.content = "Drag the handle; the arm follows."
-
-    def _guarded(self, action) -> None:
-        """Run a button's action; what goes wrong is said on the page and nothing is lost."""
-        try:
-            with self._lock:
-                self.status.content = action() or ""
-        except (HybridJaxError, OSError) as error:
-            self.status.content = f"**Not done:** {error}"
 
     def _toggle(self) -> str:
         if self.recorder.recording:
@@ -140,24 +114,12 @@ class TeachPage:
             "/shown", smooth[::8, :3], color=(20, 120, 220), thickness=4.0, thickness_units="screen"
         )
 
-    def _run(self) -> None:
-        """Follow the handle at a steady rate."""
-        due = time.monotonic()
-        while not self._closing.is_set():
-            try:
-                with self._lock:
-                    self._step()
-            except Exception as error:  # noqa: BLE001 a thread must not end without a word
-                self.status.content = f"**The arm stopped following:** {error!r}"
-                raise
-            due = max(due + 1 / RATE, time.monotonic())
-            time.sleep(max(0.0, due - time.monotonic()))
-
-    def _step(self) -> None:
+    def tick(self) -> None:
         """Show the next configuration of a replay, or the one that follows the handle."""
-        if self._replay:
-            shown = self._replay.pop(0)
-        else:
-            self.recorder.tick(np.concatenate([self.handle.position, self.handle.wxyz]))
-            shown = self.recorder.qpos
-        self._scene.show(shown)
+        with self._lock:
+            if self._replay:
+                shown = self._replay.pop(0)
+            else:
+                self.recorder.tick(np.concatenate([self.handle.position, self.handle.wxyz]))
+                shown = self.recorder.qpos
+            self._scene.show(shown)

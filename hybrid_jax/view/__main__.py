@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Look at a run in the browser: `python -m hybrid_jax.view --run DIR`."""
 
-import time
 from pathlib import Path
 
 from hybrid_jax.errors import HybridJaxError
-from hybrid_jax.terminal import remark, run_main
+from hybrid_jax.terminal import run_main
 
 
 def main(
@@ -24,6 +23,7 @@ def main(
     """
     try:
         from hybrid_jax.view.page import ViewPage  # noqa: PLC0415
+        from hybrid_jax.webpage import serve  # noqa: PLC0415
     except ImportError as error:
         raise HybridJaxError(
             f"the page needs the package {error.name}: pip install 'hybrid_jax[view]'"
@@ -31,13 +31,8 @@ def main(
     from hybrid_jax.runfolder import open_run  # noqa: PLC0415
 
     page = ViewPage(open_run(run), host, port, meshes)
-    remark(f"open {page.address} in a browser; Ctrl-C ends it")
-    try:
-        while True:
-            time.sleep(1.0)
-    except KeyboardInterrupt:
-        page.close()
-        return 0
+    serve(page)
+    return 0
 
 
 if __name__ == "__main__":

@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: MIT
 """The page: one tab each for tasks, map, skills and learning curves, beside the cell."""
 
-import threading
 import time
 from pathlib import Path
 
 import jax
 import numpy as np
 
-from hybrid_jax.errors import HybridJaxError
 from hybrid_jax.feasibility.building import load_map
 from hybrid_jax.planner.loading import load_planner
 from hybrid_jax.planner.pipeline import plan_motion
@@ -24,14 +22,14 @@ from hybrid_jax.view.motion import RATE, motion_of, resting_qpos
 from hybrid_jax.view.playback import Playback
 from hybrid_jax.view.robotlook import RobotLook, arm_bodies
 from hybrid_jax.view.taskpanel import TaskPanel
+from hybrid_jax.webpage import WebPage
 from hybrid_jax.webscene import WebScene
-from hybrid_jax.webserver import address_of, close_server, open_server
 from hybrid_jax.workcell.assets import demonstrations_folder
 
 _NONE = "(none)"
 
 
-class ViewPage:
+class ViewPage(WebPage):
     """Serves the page until it is closed."""
 
     def __init__(
@@ -45,8 +43,8 @@ class ViewPage:
             port: the first one that is tried.
             look: MJCF whose meshes stand for the arm in the picture.
         """
-        self.run, self.server = run, open_server(host, port, "hybrid_jax view")
-        self._lock, self._closing = threading.Lock(), threading.Event()
+        super().__init__(host, port, "hybrid_jax view", RATE)
+        self.run = run
         self._planner: Planner | None = None
         cell = run.cell
         self._scene = WebScene(self.server, cell.model, without=arm_bodies(cell) if look else ())
@@ -54,25 +52,12 @@ class ViewPage:
         self._fill()
         self.server.initial_camera.position = (1.5, -1.1, 1.2)
         self.server.initial_camera.look_at = (0.35, 0.0, 0.25)
-        self._thread = threading.Thread(target=self._play, daemon=True)
-        self._thread.start()
-
-    @property
-    def address(self) -> str:
-        """Where a browser finds the page."""
-        return address_of(self.server)
-
-    def close(self) -> None:
-        """Take the page down."""
-        self._closing.set()
-        self._thread.join()
-        close_server(self.server)
+        self.start()
 
     def _fill(self) -> None:
         run, tabs = self.run, self.server.gui.add_tab_group()
         fmap = load_map(run.path("map.npz"), run.cell) if run.finished("map") else None
         with tabs.add_tab("Task"):
-            self.status = self.server.gui.add_markdown("")
             self._task_tab(fmap)
         with tabs.add_tab("Map"):
             self.map = MapCloud(self.server, fmap) if fmap is not None else None
@@ -97,9 +82,9 @@ class ViewPage:
         self.playback = Playback(self.server, self.show)
         self._name = gui.add_text("Task file", initial_value="task.json")
         self._save = gui.add_button("Save task")
-        self._plan.on_click(lambda _: self._guarded(self.plan))
+        self._plan.on_click(lambda _: self.guarded(self.plan))
         self._hide.on_update(lambda _: self.task.hide(self._hide.value))
-        self._save.on_click(lambda _: self._guarded(self._keep))
+        self._save.on_click(lambda _: self.guarded(self._keep))
         self.status.content = "Choose an object, drag its key poses, plan."
 
     def _skill_tab(self) -> None:
@@ -108,14 +93,6 @@ class ViewPage:
         self._skill = self.server.gui.add_dropdown("Skill", options=(_NONE, *self._skills))
         self._about = self.server.gui.add_markdown(f"{len(self._skills)} demonstrations.")
         self._skill.on_update(lambda _: self._draw_skill())
-
-    def _guarded(self, action) -> None:
-        """Run a button's action; what goes wrong is said on the page and nothing is lost."""
-        try:
-            with self._lock:
-                self.status.content = action()
-        except (HybridJaxError, OSError) as error:
-            self.status.content = f"**Not done:** {error}"
 
     def show(self, qpos: np.ndarray) -> None:
         """Draw a configuration `[nq]`."""
@@ -162,7 +139,7 @@ class ViewPage:
             f"**{demo.name}**: {demo.note}, gripper {grip}, {demo.times[-1]:.1f} s, {demo.robot}"
         )
 
-    def _play(self) -> None:
-        while not self._closing.wait(1 / RATE):
-            if self.playback:
-                self.playback.tick()
+    def tick(self) -> None:
+        """Go on with the playback."""
+        if self.playback:
+            self.playback.tick()

@@ -14,7 +14,7 @@ from hybrid_jax.artifacts import write_text
 from hybrid_jax.errors import TaskError
 from hybrid_jax.feasibility.building import FeasibilityMap
 from hybrid_jax.feasibility.lookup import query
-from hybrid_jax.skills.scenes import sample_scene
+from hybrid_jax.skills.scenes import require_task_data, sample_scene
 from hybrid_jax.skills.task import Task, as_rows
 from hybrid_jax.skills.tasks import make_task, task_values, with_key_poses
 from hybrid_jax.types import Workcell
@@ -42,7 +42,7 @@ class TaskPanel:
         self._handles: list[viser.TransformControlsHandle] = []
         self._labels: list[viser.LabelHandle] = []
         self._lock = threading.RLock()  # the page calls from several threads
-        names = tuple(cell.source.layout.object_names)
+        names = tuple(spec.name for spec in require_task_data(cell).objects)
         self.object = server.gui.add_dropdown("Object", options=names)
         self.scene = server.gui.add_number("Scene", initial_value=0, min=0, step=1)
         self.again = server.gui.add_button("Reset key poses")
