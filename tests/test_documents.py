@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Every command and snippet of README and docs is run, on small runs; names and links hold.
 
-What a line is run as, `variant` says: trainings use preset `smoke`, studies one run; benchmarks
-and servers say what they would do (`--help`). Python snippets are run as they are printed.
+What a line is run as, `variant` says: trainings use preset `smoke`. Of benchmarks, studies and
+servers the options are looked up in their `--help`; test_study.py, test_command_line.py,
+test_view.py and test_teach.py run them. Python snippets are run as they are printed.
 """
 
 import io
@@ -20,15 +21,18 @@ from pathlib import Path
 import pytest
 import tyro
 
-from hybrid_jax import check, demos, evaluate, plan, train
+from hybrid_jax import check, demos, plan, train
 from hybrid_jax.export import __main__ as export_command
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 COMMANDS = {
-    "train": train.main, "plan": plan.main, "evaluate": evaluate.main, "check": check.main,
-    "export": export_command.main, "demos": demos.COMMANDS,
-}  # fmt: skip
+    "train": train.main,
+    "plan": plan.main,
+    "check": check.main,
+    "export": export_command.main,
+    "demos": demos.COMMANDS,
+}
 CELL = """<mujoco><size nuser_jnt="2"/><worldbody><body name="arm" pos="0 0 .2">
 <joint name="a" axis="0 0 1" range="-170 170" user="2 5"/>
 <geom type="capsule" size=".03" fromto="0 0 0 .3 0 0"/><site name="tool" pos=".3 0 0"/>
@@ -99,10 +103,6 @@ def variant(arguments: list[str]) -> list[str]:
         stages = ["map"] if {"--workcell", "--skills", "--tensorboard"} & set(rest) else []
         out = f"other-{abs(hash(tuple(rest)))}"  # --resume takes the newest run of `runs`
         return [name, *stages, *rest, "--out", out, "--preset", "smoke", "--quiet"]
-    if name == "evaluate" and "--video" not in rest:
-        return [*arguments, "--runs", "1", "--methods", "lfd", "--quiet"]
-    if name == "evaluate":
-        return [*arguments, "--methods", "lfd"]
     if name == "check" and "--tasks" in rest:
         return [name, rest[0]]  # the cell of this test has no tasks
     if name == "demos" and "bag_folder" in rest:
@@ -139,7 +139,7 @@ def test_commands(workspace, page, line):
     assert words[0] == "-m", f"{page}: a command that this test does not know"
     module, rest = words[1], words[2:]
     package, _, name = module.partition(".")
-    if package == "benchmarks" or name in ("view", "teach") or lacks_run(rest):
+    if package == "benchmarks" or name in ("view", "teach", "evaluate") or lacks_run(rest):
         done = subprocess.run(
             [sys.executable, "-m", module, "--help"], cwd=ROOT, capture_output=True, text=True
         )
