@@ -36,7 +36,7 @@ def phase(first, last, seconds, joints):
     s = times / seconds
     step = np.outer(10 * s**3 - 15 * s**4 + 6 * s**5, np.ones(joints))
     q = first + step * (np.asarray(last) - first)
-    v = np.gradient(q, times, axis=0)
+    v = np.outer(30 * s**2 - 60 * s**3 + 30 * s**4, np.asarray(last) - first) / seconds
     return Trajectory(times, q, v, np.gradient(v, times, axis=0), np.arange(60) // 30)
 
 
@@ -89,6 +89,9 @@ def test_a_tp_program_follows_the_plan(fpi, brushing, tmp_path):
         found = np.interp(at, times, q[:, column])
         assert np.abs(found - wanted[:, column]).max() < TOLERANCE + 1e-3 * fastest
     assert len(q) < 0.8 * len(points), "points that even motion passes anyway are left out"
+    rest = [i for i, move in enumerate(program.moves) if move.fine]
+    assert len(rest) == 3, "at the start, where the arm rests between the phases, and at the end"
+    np.testing.assert_allclose(q[rest[1]], plan.phases[0].positions[-1], atol=2e-5)
 
 
 def test_sparse_keeps_both_ends_and_the_tolerance():
@@ -137,6 +140,7 @@ def test_a_program_that_carries_closes_and_opens_the_gripper(cell, planned):
     orders = [{"open": "RO[1]=OFF", "close": "RO[1]=ON"}[g["command"]] for g in values["gripper"]]
     assert acts == orders
     q = np.radians(program.positions)
+    assert len(acts) == len(plan.phases) + 1
     for trajectory in plan.phases:  # each motion begins and ends in the program
         for point in (trajectory.positions[0], trajectory.positions[-1]):
             assert np.abs(q - point).max(axis=1).min() < 1e-4

@@ -5,13 +5,16 @@ The controller runs them itself, so what it makes of them is not what was checke
 positions it moves the joints evenly, as here, but it rounds corners (CNT) as it likes.
 """
 
+import itertools
 import re
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
 from hybrid_jax.errors import WorkcellError
 from hybrid_jax.export.tpreading import read_tp_program
+from hybrid_jax.export.trajectories import GRIPPER_PAUSE
 from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.description import ControllerSpec
 
@@ -19,6 +22,8 @@ TOLERANCE = 1e-3
 """Deviation of the even moves from the trajectory, in each joint and at each time [rad]."""
 READ_BACK = 1e-3
 """Positions are written with three digits after the point [degree]."""
+_STILL = 1e-5
+"""Speed of an arm that rests; speeds are written with six digits [rad/s]."""
 LEAST = 0.008
 """Shortest move, the interpolation period of common controllers [s]."""
 _HEAD = """/PROG  {name}
@@ -106,15 +111,32 @@ def _even(times: np.ndarray, q: np.ndarray, first: int, last: int) -> bool:
     return bool(np.abs(line - q[first : last + 1]).max() <= TOLERANCE)
 
 
-def _stretches(trajectory: dict) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
-    """Gripper command before each motion ("" for none), its times and configurations."""
-    times = np.array([p["time_from_start"] for p in trajectory["points"]])
-    q = np.array([p["positions"] for p in trajectory["points"]])
-    orders = trajectory["gripper"] or [{"time_from_start": 0.0, "command": ""}]
-    for order, after in zip(orders, [*orders[1:], None], strict=True):
-        end = after["time_from_start"] if after else np.inf
-        here = (times >= order["time_from_start"] - 1e-3) & (times <= end + 1e-3)
-        yield order["command"], times[here], q[here]
+@dataclass(frozen=True)
+class _Stretch:
+    """What happens between two commands of the gripper."""
+
+    command: str
+    """That comes first; "" for none."""
+    times: np.ndarray
+    """`[point]` [s]."""
+    q: np.ndarray
+    """`[point, joint]` [rad]."""
+    rests: np.ndarray
+    """Points at which the arm does not move."""
+
+
+def _stretches(trajectory: dict) -> Iterator[_Stretch]:
+    points = trajectory["points"]
+    times = np.array([p["time_from_start"] for p in points])
+    q, speeds = (np.array([p[k] for p in points]) for k in ("positions", "velocities"))
+    orders = trajectory["gripper"] or [{"time_from_start": -np.inf, "command": ""}]
+    ends = [order["time_from_start"] for order in orders[1:]] + [np.inf]
+    for order, end in zip(orders, ends, strict=True):
+        # the last point before a command has its time; the first one begins at 0 itself
+        begin = order["time_from_start"] or -np.inf
+        here = (times > begin + 1e-3) & (times <= end + 1e-3)
+        rests = np.flatnonzero(np.abs(speeds[here]).max(axis=1, initial=0.0) < _STILL)
+        yield _Stretch(order["command"], times[here], q[here], rests)
 
 
 def to_tp_program(cell: Workcell, trajectory: dict, stem: str) -> str:
@@ -141,26 +163,30 @@ def to_tp_program(cell: Workcell, trajectory: dict, stem: str) -> str:
             "[controller], the instructions of its gripper"
         )
     lines, kept = ["UFRAME_NUM=0", "UTOOL_NUM=1"], []
-    for command, times, q in _stretches(trajectory):
-        if command:
-            lines += [getattr(spec, command), "WAIT    .80(sec)"]
-        lines += _moves(times, q, kept)
+    for stretch in _stretches(trajectory):
+        if stretch.command:
+            lines += [getattr(spec, stretch.command), f"WAIT    {GRIPPER_PAUSE:.2f}(sec)"]
+        lines += _moves(stretch, kept)
     angles = controller_angles(spec, cell.joint_names, np.array(kept))
     text = _as_text(program_name(stem), lines, angles)
     _compare(text, angles)
     return text
 
 
-def _moves(times: np.ndarray, q: np.ndarray, kept: list[np.ndarray]) -> list[str]:
-    """Instructions of one motion from rest to rest; their positions are added to `kept`."""
+def _moves(stretch: _Stretch, kept: list[np.ndarray]) -> list[str]:
+    """Instructions of one stretch; their positions are added to `kept`."""
+    times, q, lines = stretch.times, stretch.q, []
     if not len(times):
         return []
-    points, lines = sparse(times, q), []
+    fine = sorted({0, len(times) - 1, *stretch.rests.tolist()})
+    points = [0]
+    for a, b in itertools.pairwise(fine):
+        points += [a + i for i in sparse(times[a : b + 1], q[a : b + 1])[1:]]
     stamps = np.round(1e3 * times).astype(int)  # so that rounding does not add up
     for a, b in zip([None, *points[:-1]], points, strict=True):
         kept.append(q[b])
         speed = "5%" if a is None else f"{max(1, stamps[b] - stamps[a])}msec"
-        ending = "FINE" if b in (points[0], points[-1]) else "CNT100"
+        ending = "FINE" if b in fine else "CNT100"
         lines.append(f"J P[{len(kept)}] {speed} {ending}")
     return lines
 
