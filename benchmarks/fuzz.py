@@ -8,6 +8,7 @@ minutes on two cores. Every file follows from the reader's name and its number.
 """
 
 import json as jsonlib
+import math
 import random
 import subprocess
 import sys
@@ -79,7 +80,7 @@ def main(count: int = 100_000, only: str = "", json: Path | None = None) -> None
     with tempfile.TemporaryDirectory() as folder:
         names = list(targets(Path(folder)))
     even = (1 - sum(SHARES.values())) / (len(names) - len(SHARES))
-    counts = [round(count * SHARES.get(name, even)) for name in names]
+    counts = [math.ceil(count * SHARES.get(name, even)) for name in names]
     with ThreadPoolExecutor(2) as pool:
         found = list(pool.map(try_reader, names, counts))
     rows, every = [], Counter()

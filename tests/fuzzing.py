@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from test_demonstrations import recording, write_bag
 
 from hybrid_jax import artifacts
 from hybrid_jax.agents import joint, networks
@@ -95,6 +96,11 @@ def _recording() -> bytes:
     return _npz(poses=poses, times=np.arange(20) / 20, **units)
 
 
+def _bag(folder: Path) -> bytes:
+    write_bag(folder, recording())
+    return next(folder.glob("*.mcap")).read_bytes()
+
+
 def _policy(path: Path, cell: Workcell) -> bytes:
     config = PRESETS["smoke"].joint
     policy = networks.blank_policy(
@@ -135,7 +141,7 @@ def make_targets(folder: Path, cell: Workcell, map_file: Path) -> list[Target]:
         Target("task", ".json", task, lambda path: read_task(cell, path)),
         Target("csv recording", ".csv", CSV.encode(), read_recording),
         Target("npz recording", ".npz", _recording(), read_recording, arrays=True),
-        Target("ros bag", ".mcap", b"\x89MCAP0\r\n" + bytes(range(200)), read_recording),
+        Target("ros bag", ".mcap", _bag(folder / "bag"), read_recording),
         Target("ros bag of sqlite", ".db3", b"SQLite format 3\x00" + bytes(200), read_recording),
         Target("demonstration", ".npz", demo, load_demonstration, arrays=True),
         Target("map", ".npz", fmap, lambda path: load_map(path, cell), arrays=True),
