@@ -46,6 +46,7 @@ class ViewPage(WebPage):
         super().__init__(host, port, "hybrid_jax view", RATE)
         self.run = run
         self._planner: Planner | None = None
+        self._planning_since: float | None = None
         cell = run.cell
         self._scene = WebScene(self.server, cell.model, without=arm_bodies(cell) if look else ())
         self._look = RobotLook(self.server, cell, look) if look else None
@@ -109,10 +110,13 @@ class ViewPage(WebPage):
 
     def plan(self) -> str:
         """Plan the present task and show the plan; a sentence about it."""
-        self.status.content = "Planning (a first time also compiles) ..."
         task, began = self.task.task, time.perf_counter()
-        self._planner = self._planner or load_planner(self.run)
-        result = plan_motion(self._planner, task, key=jax.random.key(self.run.seed))
+        self._planning_since = began
+        try:
+            self._planner = self._planner or load_planner(self.run)
+            result = plan_motion(self._planner, task, key=jax.random.key(self.run.seed))
+        finally:
+            self._planning_since = None
         took = time.perf_counter() - began
         if result.status is not Status.OK:
             self.playback.load(None)
@@ -140,6 +144,12 @@ class ViewPage(WebPage):
         )
 
     def tick(self) -> None:
-        """Go on with the playback."""
+        """Go on with the playback, and say how long a plan has been made for."""
+        since = self._planning_since
+        if since is not None:
+            seconds = int(time.perf_counter() - since)
+            told = f"Planning, {seconds} s (a first time also compiles, for a minute or two)"
+            if self.status.content != told:
+                self.status.content = told
         if self.playback:
             self.playback.tick()
