@@ -3,10 +3,10 @@
 
     python -m benchmarks.kills --json FILE
 
-A run of preset `smoke` is made once without disturbance. Then the same run is begun again and
-again, killed after a random time, gone on with `--resume`, killed again, until it ends by itself;
-then its files are compared, array by array and metric by metric. Rates and times are left out.
-About an hour on two cores for 50 kills.
+A run of preset `smoke` is made once without disturbance. Then the same run is made again and again,
+killed once in each stage at a random moment and gone on with `--resume`; in the end its files are
+compared, array by array and metric by metric. Rates and times are left out. About half an hour on
+two cores for 50 kills.
 """
 
 import json as jsonlib
@@ -16,6 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -27,8 +28,9 @@ CLOCK = {"rate", "planning_s", "seconds"}
 """Metrics that say how long something took."""
 ARRAYS = ("map.npz", "lfd.npz", "drl.npz", "switch.npz", "segments.npz")
 TABLES = ("map.jsonl", "lfd.jsonl", "drl.jsonl", "switch.jsonl")
-FIRST, LAST = 3.0, 45.0
-"""A process is killed so long after its start [s]; importing takes 3, a whole run some 40."""
+LONGEST = {"map": 12.0, "lfd": 8.0, "drl": 20.0, "switch": 12.0, "demo": 25.0}
+"""A stage is killed so long after it has begun, at most [s]: about as long as it takes. The first
+begins with the process, which imports for a few seconds."""
 
 
 def start(folder: Path, resume: bool) -> subprocess.Popen:
@@ -69,27 +71,32 @@ def differences(one: Path, other: Path) -> list[str]:
     return found + sorted(f"left over: {name}" for name in names[0] ^ names[1])
 
 
-def disturbed(folder: Path, rng: random.Random, most: int) -> tuple[int, list[str]]:
-    """One run with as many kills as come, at most so many; how many, and in which stages."""
-    kills, where = 0, []
-    while True:
-        begun = (folder / "config.json").is_file()
-        process = start(folder, resume=begun)
-        try:
-            out, err = process.communicate(
-                timeout=rng.uniform(FIRST, LAST) if kills < most else None
-            )
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.communicate()
-            kills += 1
-            done = [stage for stage in ("map", "lfd", "drl", "switch")
-                    if (folder / f"{stage}.npz").is_file()]  # fmt: skip
-            where.append(f"after {done[-1] if done else 'nothing'}")
-            continue
-        if process.returncode:
-            raise SystemExit(f"{folder} ended with {process.returncode}: {err or out}")
-        return kills, where
+def finished(folder: Path, stage: str) -> bool:
+    """Has a stage left its result?"""
+    return (folder / ("demo.json" if stage == "demo" else f"{stage}.npz")).is_file()
+
+
+def kill_in(folder: Path, stage: str, rng: random.Random) -> bool:
+    """Run until a stage has begun, and kill it at a random moment; False if it ended before."""
+    process = start(folder, resume=(folder / "config.json").is_file())
+    before = list(LONGEST)[: list(LONGEST).index(stage)]
+    while process.poll() is None and not all(finished(folder, one) for one in before):
+        time.sleep(0.02)
+    try:
+        process.communicate(timeout=rng.uniform(0.0, LONGEST[stage]))
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.communicate()
+        return True
+    return False
+
+
+def complete(folder: Path) -> None:
+    """Go on until the run ends by itself."""
+    process = start(folder, resume=(folder / "config.json").is_file())
+    out, err = process.communicate()
+    if process.returncode:
+        raise SystemExit(f"{folder} ended with {process.returncode}: {err or out}")
 
 
 def main(kills: int = 50, seed: int = 0, json: Path | None = None) -> None:
@@ -100,23 +107,25 @@ def main(kills: int = 50, seed: int = 0, json: Path | None = None) -> None:
         seed: of the moments.
         json: file for the figures.
     """
-    rng, count, survived, runs, where = random.Random(seed), 0, 0, 0, []
+    rng, count, survived, runs, where = random.Random(seed), 0, 0, 0, Counter()
     began = time.perf_counter()
     with tempfile.TemporaryDirectory() as parent:
         whole = Path(parent) / "whole"
-        disturbed(whole, rng, 0)
+        complete(whole)
         while count < kills:
             folder = Path(parent) / f"run{runs}"
-            some, places = disturbed(folder, rng, kills - count)
+            killed = [stage for stage in LONGEST if kill_in(folder, stage, rng)]
+            complete(folder)
             wrong = differences(whole, folder)
             for name in wrong:
                 print(f"run {runs}: {name} differs", file=sys.stderr)
-            count, runs, where = count + some, runs + 1, where + places
-            survived += 0 if wrong else some
+            count, runs = count + len(killed), runs + 1
+            survived += 0 if wrong else len(killed)
+            where.update(killed)
             print(f"{count} kills in {runs} runs, {survived} survived", flush=True)
             shutil.rmtree(folder)
-    spread = {place: where.count(place) for place in sorted(set(where))}
-    note = f"of {count} kills in {runs} runs; {spread}; {time.perf_counter() - began:.0f} s"
+    note = f"of {count} kills in {runs} runs: " + ", ".join(f"{s} {n}" for s, n in where.items())
+    note += f"; {time.perf_counter() - began:.0f} s"
     write([metric("kills.survived", survived, "1", "higher", note)], json)
 
 

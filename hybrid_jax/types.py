@@ -211,6 +211,7 @@ class Status(enum.IntEnum):
 
     @property
     def sentence(self) -> str:
+        """What it means, for people."""
         return _SENTENCES[self]
 
 

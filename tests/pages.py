@@ -3,6 +3,9 @@
 
 import time
 
+import numpy as np
+from scipy.spatial.transform import Rotation
+
 
 def wait_for(condition, seconds=40.0):
     """The first true value of a condition."""
@@ -39,3 +42,36 @@ def open_tab(browser, label):
     """Show a tab."""
     there = f"//*[@role='tab'][@title='{label}']"
     wait_for(lambda: browser.find_elements("xpath", there))[0].click()
+
+
+def pixel(page, point, size):
+    """Where the browser shows a point of the scene, from its camera; x, y from the top left."""
+    camera = wait_for(lambda: list(page.server.get_clients().values()))[0].camera
+    forward = np.asarray(camera.look_at) - camera.position
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, camera.up_direction)
+    right /= np.linalg.norm(right)
+    up = np.cross(right, forward)
+    away = np.asarray(point) - camera.position
+    height = np.tan(camera.fov / 2) * (away @ forward)
+    x, y = away @ right / (height * size[0] / size[1]), away @ up / height
+    return (1 + x) / 2 * size[0], (1 - y) / 2 * size[1]
+
+
+def drag(browser, page, handle, grip, distance):
+    """Take a handle's arrow along its z axis, `grip` away from its middle, and pull."""
+    from selenium.webdriver import ActionChains
+
+    canvas = browser.find_element("tag name", "canvas")
+    size = canvas.size["width"], canvas.size["height"]
+    middle = np.array(handle.position)
+    axis = Rotation.from_quat(handle.wxyz, scalar_first=True).apply([0.0, 0.0, 1.0])
+    ends = middle + grip * axis, middle + (grip + distance) * axis
+    (x0, y0), (x1, y1) = (pixel(page, p, size) for p in ends)
+    chain = ActionChains(browser, duration=60)
+    chain.move_to_element_with_offset(canvas, int(x0 - size[0] / 2), int(y0 - size[1] / 2))
+    chain.click_and_hold()
+    for share in np.linspace(0.05, 1, 20):
+        x, y = x0 + share * (x1 - x0), y0 + share * (y1 - y0)
+        chain.move_to_element_with_offset(canvas, int(x - size[0] / 2), int(y - size[1] / 2))
+    chain.release().perform()

@@ -57,9 +57,12 @@ def test_functions_are_documented(name):
 def test_classes_and_their_fields_are_documented(name):
     kind = getattr(hybrid_jax, name)
     assert (inspect.getdoc(kind) or "").strip()
+    body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0].body
+    for node in body:
+        if isinstance(node, ast.FunctionDef) and not node.name.startswith("_"):
+            assert ast.get_docstring(node), f"{name}.{node.name} is not documented"
     if not hasattr(kind, "__dataclass_fields__"):
         return
-    body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0].body
     for number, node in enumerate(body):
         if isinstance(node, ast.AnnAssign):
             after = body[number + 1] if number + 1 < len(body) else None

@@ -171,8 +171,10 @@ def test_ctrl_c_ends_with_130_and_says_how_to_go_on(tmp_path):
 
 @pytest.mark.slow
 def test_killed_trainings_end_the_same(capsys):
-    """Three of the fifty kills of `python -m benchmarks.kills`."""
+    """One run of `python -m benchmarks.kills`."""
     from benchmarks import kills
 
-    kills.main(kills=3, seed=1)
-    assert re.search(r"kills\.survived +3", capsys.readouterr().out)
+    kills.main(kills=1, seed=1)
+    out = capsys.readouterr().out
+    count = re.search(r"kills\.survived +(\d+)", out)[1]
+    assert int(count) > 0 and f"of {count} kills" in out

@@ -14,6 +14,8 @@ from scipy.spatial.transform import Rotation
 import hybrid_jax
 from hybrid_jax.errors import UnknownNameError, WorkcellError
 from hybrid_jax.export import to_joint_trajectory
+from hybrid_jax.export.tpprogram import TOLERANCE, to_tp_program
+from hybrid_jax.export.tpreading import read_tp_program
 from hybrid_jax.planner.lfd import optimal_chooser
 from hybrid_jax.planner.loading import optimal_switcher, read_library
 from hybrid_jax.planner.pipeline import plan_batch
@@ -160,12 +162,35 @@ def test_trials_are_carried_out_exactly_and_without_a_touch(fpi, reports):
         assert np.abs(report.stand_offs).max() < 0.01
 
 
-def test_the_brush_keeps_to_its_speed(fpi, inspector):
-    """Judged by C MuJoCo's kinematics and differences of the timed points."""
+@pytest.fixture(scope="module")
+def brushing(fpi, inspector):
+    """A task from elsewhere than home, and its plan."""
     start = random_start(fpi, np.random.default_rng(0))
     task = inspection_task(fpi, "left_2", sample_scene(fpi, 3), start)
     plan = plan_batch(inspector, [task], key=jax.random.key(0))[0]
     assert plan.status is Status.OK, plan.detail
+    return task, plan
+
+
+def test_the_controllers_program_does_what_was_planned(fpi, brushing):
+    """Read back: even moves in the times that it says, at rest where the plan rests."""
+    task, plan = brushing
+    out = to_joint_trajectory(fpi, task, plan)
+    program = read_tp_program(to_tp_program(fpi, out, "blade"))
+    q = np.radians(program.positions)
+    q[:, 2] += q[:, 1]
+    times = np.cumsum([0.0] + [move.speed for move in program.moves[1:]])
+    at = np.array([point["time_from_start"] for point in out["points"]])
+    wanted = np.array([point["positions"] for point in out["points"]])
+    fastest = max(np.abs(phase.velocities).max() for phase in plan.phases)
+    found = np.stack([np.interp(at, times, column) for column in q.T], axis=1)
+    assert np.abs(found - wanted).max() < TOLERANCE + 1e-3 * fastest
+    assert sum(move.fine for move in program.moves) == len(plan.phases) + 1
+
+
+def test_the_brush_keeps_to_its_speed(fpi, brushing):
+    """Judged by C MuJoCo's kinematics and differences of the timed points."""
+    task, plan = brushing
     data, site, stroke = mujoco.MjData(fpi.model), fpi.source.layout.tool_site, plan.phases[-1]
     tool = []
     for q in stroke.positions:

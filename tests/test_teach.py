@@ -5,8 +5,7 @@ import time
 
 import numpy as np
 import pytest
-from pages import press, says, wait_for
-from scipy.spatial.transform import Rotation
+from pages import drag, press, says, wait_for
 
 from hybrid_jax.errors import DemonstrationError
 from hybrid_jax.skills.demonstration import check_demonstration, load_demonstration
@@ -49,39 +48,6 @@ def page(cell, tmp_path):
     opened.close()
 
 
-def pixel(page, point, size):
-    """Where the browser shows a point of the scene, from its camera; x, y from the top left."""
-    camera = wait_for(lambda: list(page.server.get_clients().values()))[0].camera
-    forward = np.asarray(camera.look_at) - camera.position
-    forward /= np.linalg.norm(forward)
-    right = np.cross(forward, camera.up_direction)
-    right /= np.linalg.norm(right)
-    up = np.cross(right, forward)
-    away = np.asarray(point) - camera.position
-    height = np.tan(camera.fov / 2) * (away @ forward)
-    x, y = away @ right / (height * size[0] / size[1]), away @ up / height
-    return (1 + x) / 2 * size[0], (1 - y) / 2 * size[1]
-
-
-def drag(browser, page, distance):
-    """Take the handle's arrow along the tool's z axis and pull."""
-    from selenium.webdriver import ActionChains
-
-    canvas = browser.find_element("tag name", "canvas")
-    size = canvas.size["width"], canvas.size["height"]
-    tool = np.array(page.handle.position)
-    axis = Rotation.from_quat(page.handle.wxyz, scalar_first=True).apply([0.0, 0.0, 1.0])
-    grip, end = tool + 0.225 * axis, tool + (0.225 + distance) * axis
-    (x0, y0), (x1, y1) = (pixel(page, p, size) for p in (grip, end))
-    chain = ActionChains(browser, duration=60)
-    chain.move_to_element_with_offset(canvas, int(x0 - size[0] / 2), int(y0 - size[1] / 2))
-    chain.click_and_hold()
-    for share in np.linspace(0.05, 1, 20):
-        x, y = x0 + share * (x1 - x0), y0 + share * (y1 - y0)
-        chain.move_to_element_with_offset(canvas, int(x - size[0] / 2), int(y - size[1] / 2))
-    chain.release().perform()
-
-
 def enter(name, page, text):
     """Type a name and wait until the page's server has it."""
     name.clear()
@@ -103,7 +69,7 @@ def test_a_skill_is_dragged_recorded_saved_and_there_after_a_reload(browser, pag
     press(browser, "Record")
     says(browser, "Recording.")
     for _ in range(3):  # before the scene's first frame a drag turns the view instead
-        drag(browser, page, 0.15)
+        drag(browser, page, page.handle, 0.225, 0.15)
         time.sleep(2.0)
         if lowered(page, began):
             break
