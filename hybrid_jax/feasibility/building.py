@@ -24,6 +24,7 @@ _SCALE_SAMPLES = 65536
 _PIECE = 262_144
 """Random configurations drawn at a time."""
 _KIND = "feasibility map"
+_TINY = 1e-12
 _ON_GRID = ("feasibility", "reason", "manipulability", "clearance")
 _BLOCK = "block_{:05d}.npz"
 
@@ -229,7 +230,8 @@ def build_feasibility_map(
         if progress:
             progress(done, config.size)
     stored.discard()
-    share = np.clip(found["manipulability"] / scale, 0.0, 1.0)
+    # an arm of few joints is singular everywhere
+    share = np.clip(found["manipulability"] / max(scale, _TINY), 0.0, 1.0)
     fea = np.where(found["reason"] == Reason.FEASIBLE, share, 0.0)
     return FeasibilityMap(
         lower=jnp.array(config.lower, jnp.float32),
