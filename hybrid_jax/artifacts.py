@@ -33,8 +33,10 @@ def save(path: Path, kind: str, digest: str, tree: Any, **header) -> None:
     flat = traverse_util.flatten_dict(state, keep_empty_nodes=True, sep="/")
     # an optimiser's state has branches without arrays, which loading must find again
     empty = [k for k, v in flat.items() if v is traverse_util.empty_node]
+    nothing = [k for k, v in flat.items() if v is None]
     flat = {k: np.asarray(v) for k, v in flat.items() if k not in empty and v is not None}
-    head = {"format": FORMAT, "kind": kind, "workcell": digest, "empty": empty, **header}
+    head = {"format": FORMAT, "kind": kind, "workcell": digest, "empty": empty,
+            "nothing": nothing, **header}  # fmt: skip
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_suffix(".partial.npz")
     try:
@@ -94,6 +96,7 @@ def _parts(path: Path) -> tuple[dict, dict]:
     if not isinstance(header.get("workcell"), str):
         raise ValueError("its header names no work cell")
     flat |= dict.fromkeys(header.get("empty", ()), traverse_util.empty_node)
+    flat |= dict.fromkeys(header.get("nothing", ()))
     return header, traverse_util.unflatten_dict(flat, sep="/")
 
 

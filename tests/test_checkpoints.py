@@ -4,6 +4,7 @@
 import dataclasses
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from test_agents import SMALL, Track
@@ -69,6 +70,23 @@ def test_a_resumed_run_equals_an_uninterrupted_one(cell, tmp_path, monkeypatch, 
     assert [row["step"] for row in stopped.metrics("drl")] == [each * i for i in range(1, 7)]
     checkpoints.discard(stopped, "drl")
     assert not stopped.path("drl_checkpoint.npz").is_file()
+
+
+def test_a_checkpoint_of_the_real_world_is_taken(cell, tmp_path):
+    """Its copies have a field that is None without dynamics."""
+    from hybrid_jax.agents import joint
+    from hybrid_jax.agents.segments import Segments
+    from hybrid_jax.presets import PRESETS
+
+    run, config = make_run(cell, tmp_path / "run"), PRESETS["smoke"].joint
+    scene = jax.tree.map(lambda a: jnp.asarray(a)[None], cell.scene)
+    world = joint.make_world(cell, Segments(scene, cell.home[None], cell.home[None] + 0.1), config)
+    short = dataclasses.replace(config.training, steps=config.training.steps_per_iteration)
+    net = joint.make_net(cell, config)
+    first = checkpoints.train_agent(run, "drl", world, net, short, quiet=True)
+    again = checkpoints.train_agent(run, "drl", world, net, short, quiet=True)
+    for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(again), strict=True):
+        np.testing.assert_array_equal(a, b)
 
 
 def test_a_checkpoint_cut_short_is_refused_by_name(interrupted):
