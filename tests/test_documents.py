@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Every command and snippet of README and docs is run, on small runs; names and links hold.
+"""Commands and snippets of README and docs are run, on small runs; names and links hold.
 
 What a line is run as, `variant` says: trainings use preset `smoke`. Of benchmarks, studies and
 servers the options are looked up in their `--help`; test_study.py, test_command_line.py,
@@ -18,6 +18,7 @@ import tomllib
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
+import numpy as np
 import pytest
 import tyro
 
@@ -41,7 +42,8 @@ CELL = """<mujoco><size nuser_jnt="2"/><worldbody><body name="arm" pos="0 0 .2">
 
 def blocks(page: Path) -> list[tuple[str, str]]:
     """Language and text of the fenced blocks of a page."""
-    return re.findall(r"^```(\w*)\n(.*?)^```$", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+    fence = r"^```(\w*)\n(.*?)^```$"
+    return re.findall(fence, page.read_text(), flags=re.MULTILINE | re.DOTALL)
 
 
 def lines_of(language: str) -> list[tuple[str, str]]:
@@ -62,29 +64,18 @@ def workspace(smoke_run, tmp_path_factory):
     """A folder as a reader has it: runs, a recording, a cell of one's own."""
     folder = tmp_path_factory.mktemp("reader")
     shutil.copytree(smoke_run, folder / "runs" / "gen3_handling-001")
-    text = (ROOT / "docs" / "own_demonstration.md").read_text()
-    recording = next(text for kind, text in _blocks_of(text) if kind == "csv")
+    page = ROOT / "docs" / "own_demonstration.md"
+    recording = next(text for kind, text in blocks(page) if kind == "csv")
     (folder / "recording.csv").write_text(recording)
-    shutil.copy(_npz_recording(folder), folder / "log.npz")
+    poses = np.zeros((60, 7))
+    poses[:, 0], poses[:, 3] = np.linspace(0, 20, 60), 1.0
+    np.savez(folder / "log.npz", poses=poses)
     for name in ("my_cell", "my_arm"):
         (folder / f"{name}.xml").write_text(CELL)
     before = Path.cwd()
     os.chdir(folder)
     yield folder
     os.chdir(before)
-
-
-def _blocks_of(text):
-    return re.findall(r"^```(\w*)\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL)
-
-
-def _npz_recording(folder: Path) -> Path:
-    import numpy as np
-
-    poses = np.zeros((60, 7))
-    poses[:, 0], poses[:, 3] = np.linspace(0, 20, 60), 1.0
-    np.savez(folder / "first.npz", poses=poses)
-    return folder / "first.npz"
 
 
 def run_module(arguments: list[str]) -> int:

@@ -59,6 +59,13 @@ def test_the_users_own_cache_is_left_alone(tmp_path):
     assert done.returncode == 0 and not (tmp_path / "ours").exists() and own.is_dir()
 
 
+def test_traces_are_seen():
+    """Without this the tests below could not fail."""
+    before = len(_TRACED)
+    jax.jit(lambda x: x + 1.0)(np.float32(1.0))
+    assert len(_TRACED) > before
+
+
 def map_of(cell):
     """A tiny map."""
     config = hj.MapConfig(
