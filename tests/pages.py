@@ -44,9 +44,23 @@ def open_tab(browser, label):
     wait_for(lambda: browser.find_elements("xpath", there))[0].click()
 
 
+def camera_of(page):
+    """Of the only browser that shows a page."""
+    return wait_for(lambda: list(page.server.get_clients().values()))[0].camera
+
+
+def come_near(page, point):
+    """Look at a point of the scene from so near that a handle's arrows and rings lie apart."""
+    camera = camera_of(page)
+    camera.position, camera.look_at = np.add(point, [0.4, -0.3, 0.1]), np.asarray(point)
+    asked = camera.update_timestamp
+    wait_for(lambda: camera.update_timestamp > asked)  # the browser has turned to it, ...
+    time.sleep(2.0)  # ... and drawn it
+
+
 def pixel(page, point, size):
     """Where the browser shows a point of the scene, from its camera; x, y from the top left."""
-    camera = wait_for(lambda: list(page.server.get_clients().values()))[0].camera
+    camera = camera_of(page)
     forward = np.asarray(camera.look_at) - camera.position
     forward /= np.linalg.norm(forward)
     right = np.cross(forward, camera.up_direction)

@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: MIT
 """The teach page: the recorder by itself, and the page in a real headless Chromium."""
 
-import time
-
 import numpy as np
 import pytest
-from pages import drag, press, says, wait_for
+from pages import come_near, drag, press, says, wait_for
 
 from hybrid_jax.errors import DemonstrationError
 from hybrid_jax.skills.demonstration import check_demonstration, load_demonstration
@@ -55,25 +53,16 @@ def enter(name, page, text):
     wait_for(lambda: page._name.value == text)
 
 
-def lowered(page, began):
-    """Has the handle moved down?"""
-    return page.handle.position[2] < began[2] - 0.05
-
-
 def test_a_skill_is_dragged_recorded_saved_and_there_after_a_reload(browser, page):
     browser.get(page.address)
     says(browser, "Drag the handle")
     wait_for(lambda: list(page.server.get_clients().values()))
-    time.sleep(2.0)  # the scene's first frame
     began = np.array(page.handle.position)
+    come_near(page, began)
     press(browser, "Record")
     says(browser, "Recording.")
-    for _ in range(3):  # before the scene's first frame a drag turns the view instead
-        drag(browser, page, page.handle, 0.225, 0.15)
-        time.sleep(2.0)
-        if lowered(page, began):
-            break
-    assert lowered(page, began)
+    drag(browser, page, page.handle, 0.225, 0.15)
+    wait_for(lambda: began[2] - page.handle.position[2] > 0.05)
     wait_for(lambda: abs(page.recorder.tool[2] - page.handle.position[2]) < 5e-3)
     press(browser, "Stop")
     says(browser, "samples recorded")

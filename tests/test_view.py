@@ -2,14 +2,13 @@
 """The view page: its parts by themselves, and the page in a real headless Chromium."""
 
 import json
-import time
 import urllib.request
 
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from pages import choose, drag, open_tab, press, says, wait_for
+from pages import choose, come_near, drag, open_tab, press, says, wait_for
 
 from hybrid_jax.errors import TaskError, WorkcellError
 from hybrid_jax.feasibility.judging import Reason
@@ -181,18 +180,14 @@ def test_a_task_is_built_planned_played_and_saved_in_the_browser(browser, page, 
     wait_for(lambda: list(page.server.get_clients().values()))
     choose(browser, "Object", "block_2")
     wait_for(lambda: page.task.task.object_name == "block_2")
-    time.sleep(3.0)  # the scene's first frame
     handle = page.task._handles[2]  # above the tray: nothing hides it
-    before, began = page.task.task, np.array(handle.position)
-    for _ in range(3):  # before the scene's first frame a drag turns the view instead
-        drag(browser, page, handle, 0.09, -0.05)
-        time.sleep(2.0)
-        if not np.allclose(handle.position, began):
-            break
-    assert np.linalg.norm(handle.position - began) > 0.005
-    np.testing.assert_allclose(
-        as_rows(page.task.task.key_poses[3:4])[0, :3], handle.position, atol=1e-5
-    )
+    before, began, turn = page.task.task, np.array(handle.position), np.array(handle.wxyz)
+    come_near(page, began)
+    drag(browser, page, handle, 0.09, -0.05)
+    wait_for(lambda: abs(np.linalg.norm(handle.position - began) - 0.05) < 0.01)
+    np.testing.assert_allclose(handle.wxyz, turn, atol=1e-6)  # an arrow only shifts
+    dragged = lambda: as_rows(page.task.task.key_poses[3:4])[0, :3]  # noqa: E731
+    wait_for(lambda: np.allclose(dragged(), handle.position, atol=1e-5))
     assert np.allclose(before.key_poses[1], page.task.task.key_poses[1])
     press(browser, "Plan")
     wait_for(lambda: page.status.content.startswith("**"), 240.0)
