@@ -17,7 +17,7 @@ test: .venv/.installed
 	$(BIN)/python -m pytest
 
 slow: .venv/.installed
-	$(BIN)/python -m pytest -m slow
+	XLA_FLAGS= $(BIN)/python -m pytest -n 0 -m slow
 
 check: .venv/.installed
 	$(BIN)/ruff check .

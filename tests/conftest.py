@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Shared fixtures. The compile cache is on for the run: the same programs recur in many tests."""
+"""Shared fixtures, and how the tests are compiled and spread over workers."""
 
 import os
 import shutil
@@ -8,6 +8,12 @@ from pathlib import Path
 
 import pytest
 
+# The suite's time is that of compiling: quick code instead of fast code takes a third of it.
+# With XLA_FLAGS set, also to nothing, the tests run what users run.
+os.environ.setdefault(
+    "XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=1"
+)
+# The same programs recur in many tests.
 os.environ.setdefault(
     "JAX_COMPILATION_CACHE_DIR", str(Path(tempfile.gettempdir()) / "hybrid_jax_test_cache")
 )
@@ -21,6 +27,20 @@ import numpy as np  # noqa: E402
 from hybrid_jax.workcell.load import load_workcell  # noqa: E402
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """A module's tests share a worker, and so do all that read the smoke run: it is made once."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByModule(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            module = nodeid.split("::")[0]
+            reads_run = "smoke_run" in (config.rootpath / module).read_text()
+            return "smoke run" if reads_run else module
+
+    return ByModule(config, log)
 
 
 @pytest.fixture(autouse=True, scope="module")
