@@ -24,26 +24,21 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 from fuzzing import attempt, make_targets, mutate  # noqa: E402
 
 from benchmarks.report import metric, write  # noqa: E402
-from hybrid_jax.feasibility.building import build_feasibility_map, save_map  # noqa: E402
-from hybrid_jax.feasibility.grid import MapConfig  # noqa: E402
 from hybrid_jax.workcell.load import load_workcell  # noqa: E402
 
 SHARES = {"mjcf": 0.05, "urdf": 0.05}
 """Of all files, for readers that take long; the others share the rest evenly."""
-TINY = MapConfig(lower=(0.3, -0.1, 0.3), upper=(0.5, 0.1, 0.5), spacing=0.2, batch=32, samples=1)
 
 
-def targets(folder: Path) -> dict:
-    """The readers by name."""
-    cell = load_workcell("gen3_handling")
-    save_map(folder / "map.npz", cell, build_feasibility_map(cell, TINY))
-    return {t.name: t for t in make_targets(folder, cell, folder / "map.npz")}
+def readers(folder: Path) -> dict:
+    """What is tried, by name."""
+    return make_targets(folder, load_workcell("gen3_handling"))
 
 
 def work(name: str, count: int) -> None:
     """Try one reader; prints the outcomes, and before each file its number on stderr."""
     with tempfile.TemporaryDirectory() as sound, tempfile.TemporaryDirectory() as broken:
-        target, outcomes, crashes = targets(Path(sound))[name], Counter(), []
+        target, outcomes, crashes = readers(Path(sound))[name], Counter(), []
         for number in range(count):
             if number % 100 == 0:
                 print(number, file=sys.stderr, flush=True)
@@ -78,7 +73,7 @@ def main(count: int = 100_000, only: str = "", json: Path | None = None) -> None
         work(only, count)
         return
     with tempfile.TemporaryDirectory() as folder:
-        names = list(targets(Path(folder)))
+        names = list(readers(Path(folder)))
     even = (1 - sum(SHARES.values())) / (len(names) - len(SHARES))
     counts = [math.ceil(count * SHARES.get(name, even)) for name in names]
     with ThreadPoolExecutor(2) as pool:

@@ -17,7 +17,8 @@ from hybrid_jax import artifacts
 from hybrid_jax.agents import joint, networks
 from hybrid_jax.errors import HybridJaxError
 from hybrid_jax.export.tpreading import read_tp_program
-from hybrid_jax.feasibility.building import load_map
+from hybrid_jax.feasibility.building import build_feasibility_map, load_map, save_map
+from hybrid_jax.feasibility.grid import MapConfig
 from hybrid_jax.planner.loading import load_policy
 from hybrid_jax.presets import PRESETS
 from hybrid_jax.runfolder import Run, read_config
@@ -110,20 +111,27 @@ def _policy(path: Path, cell: Workcell) -> bytes:
     return path.read_bytes()
 
 
-def make_targets(folder: Path, cell: Workcell, map_file: Path) -> list[Target]:
-    """All readers.
+def _map(path: Path, cell: Workcell) -> bytes:
+    config = MapConfig(
+        lower=(0.3, -0.1, 0.3), upper=(0.5, 0.1, 0.5), spacing=0.2, batch=32, samples=1
+    )
+    save_map(path, cell, build_feasibility_map(cell, config))
+    return path.read_bytes()
+
+
+def make_targets(folder: Path, cell: Workcell) -> dict[str, Target]:
+    """All readers by name.
 
     Args:
         folder: for files that are made to be changed.
         cell: the handling cell.
-        map_file: a map of it.
     """
     config = PRESETS["smoke"].joint
     net, seen = joint.make_net(cell, config), joint.observation_length(cell, config)
     task = json.dumps(task_values(random_task(cell, 4))).encode()
     cells = robots_folder() / "workcells"
     handling, inspecting = ((cells / f"{n}.toml").read_bytes() for n in ("gen3_handling", "fpi"))
-    fmap = map_file.read_bytes()
+    fmap = _map(folder / "map.npz", cell)
     metrics = b"\n".join(json.dumps({"step": i, "reward": i / 7}).encode() for i in range(9))
     demo = next(demonstrations_folder().glob("*.npz")).read_bytes()
 
@@ -133,7 +141,7 @@ def make_targets(folder: Path, cell: Workcell, map_file: Path) -> list[Target]:
     def program(path):
         return read_tp_program(path.read_text(errors="replace"))
 
-    return [
+    targets = [
         Target("mjcf", ".xml", ARM.encode(), load_workcell),
         Target("urdf", ".urdf", URDF.encode(), load_workcell),
         Target("handling data", ".toml", handling, read_task_data),
@@ -150,6 +158,7 @@ def make_targets(folder: Path, cell: Workcell, map_file: Path) -> list[Target]:
         Target("metrics", ".jsonl", metrics, lambda path: _run_of(path, cell).metrics(path.stem)),
         Target("tp program", ".ls", TP.encode(), program),
     ]
+    return {target.name: target for target in targets}
 
 
 def mutate(rng: random.Random, target: Target) -> bytes:

@@ -6,9 +6,6 @@ from fuzzing import attempt, make_targets, mutate
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hybrid_jax.feasibility.building import build_feasibility_map, save_map
-from hybrid_jax.feasibility.grid import MapConfig
-
 NAMES = (
     "mjcf", "urdf", "handling data", "inspection data", "task", "csv recording", "npz recording",
     "ros bag", "ros bag of sqlite", "demonstration", "map", "policy", "run's settings", "metrics",
@@ -18,12 +15,7 @@ NAMES = (
 
 @pytest.fixture(scope="module")
 def targets(cell, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("sound")
-    tiny = MapConfig(
-        lower=(0.3, -0.1, 0.3), upper=(0.5, 0.1, 0.5), spacing=0.2, batch=32, samples=1
-    )
-    save_map(folder / "map.npz", cell, build_feasibility_map(cell, tiny))
-    return {t.name: t for t in make_targets(folder, cell, folder / "map.npz")}
+    return make_targets(tmp_path_factory.mktemp("sound"), cell)
 
 
 @pytest.fixture(scope="module")

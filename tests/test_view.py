@@ -174,6 +174,20 @@ def test_curves_are_those_of_the_run(page):
     assert page.curves >= 3
 
 
+def test_a_scene_without_room_is_said_and_the_task_stays(page, monkeypatch):
+    def no_room(*_):
+        raise TaskError("no room for the objects")
+
+    before = page.task.task
+    monkeypatch.setattr("hybrid_jax.view.taskpanel.sample_scene", no_room)
+    page.task.scene.value = 5
+    wait_for(lambda: page.status.content == "**Not done:** no room for the objects")
+    assert page.task.task is before
+    monkeypatch.undo()
+    page.task.scene.value = 0
+    wait_for(lambda: page.status.content.startswith("Choose an object"))
+
+
 def test_a_task_is_built_planned_played_and_saved_in_the_browser(browser, page, tmp_path):
     browser.get(page.address)
     says(browser, "Choose an object")

@@ -21,7 +21,7 @@ from hybrid_jax.view.mapcloud import MapCloud
 from hybrid_jax.view.motion import RATE, motion_of, resting_qpos
 from hybrid_jax.view.playback import Playback
 from hybrid_jax.view.robotlook import RobotLook, arm_bodies
-from hybrid_jax.view.taskpanel import TaskPanel
+from hybrid_jax.view.taskpanel import INVITATION, TaskPanel
 from hybrid_jax.webpage import WebPage
 from hybrid_jax.webscene import WebScene
 from hybrid_jax.workcell.assets import demonstrations_folder
@@ -77,7 +77,7 @@ class ViewPage(WebPage):
             self.show(resting_qpos(cell, np.zeros((0, 7)), np.asarray(cell.home)))
             return
         self.playback = None
-        self.task = TaskPanel(self.server, cell, fmap, self._new_task)
+        self.task = TaskPanel(self.server, cell, fmap, self._new_task, self.guarded)
         self._plan = gui.add_button("Plan")
         self._hide = gui.add_checkbox("Hide handles", initial_value=False)
         self.playback = Playback(self.server, self.show)
@@ -86,7 +86,7 @@ class ViewPage(WebPage):
         self._plan.on_click(lambda _: self.guarded(self.plan))
         self._hide.on_update(lambda _: self.task.hide(self._hide.value))
         self._save.on_click(lambda _: self.guarded(self._keep))
-        self.status.content = "Choose an object, drag its key poses, plan."
+        self.status.content = INVITATION
 
     def _skill_tab(self) -> None:
         folder = self.run.skills or demonstrations_folder()

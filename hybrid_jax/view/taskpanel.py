@@ -2,7 +2,6 @@
 """A task on the page: choose an object, drag key poses, plan, save."""
 
 import json
-import threading
 from collections.abc import Callable
 from pathlib import Path
 
@@ -19,6 +18,8 @@ from hybrid_jax.skills.task import Task, as_rows
 from hybrid_jax.skills.tasks import make_task, task_values, with_key_poses
 from hybrid_jax.types import Workcell
 
+INVITATION = "Choose an object, drag its key poses, plan."
+
 
 class TaskPanel:
     """Holds the task that is being built, and its handles."""
@@ -29,6 +30,7 @@ class TaskPanel:
         cell: Workcell,
         fmap: FeasibilityMap | None,
         changed: Callable[[Task], None],
+        guarded: Callable[[Callable[[], str]], None],
     ):
         """Add the controls.
 
@@ -37,27 +39,32 @@ class TaskPanel:
             cell: with task data.
             fmap: that says of each key pose how feasible it is.
             changed: told every new task.
+            guarded: runs what a control does, one at a time, and says what came of it.
         """
         self._server, self._cell, self._map, self._changed = server, cell, fmap, changed
         self._handles: list[viser.TransformControlsHandle] = []
         self._labels: list[viser.LabelHandle] = []
-        self._lock = threading.RLock()  # the page calls from several threads
+        self._guarded = guarded
         names = tuple(spec.name for spec in require_task_data(cell).objects)
         self.object = server.gui.add_dropdown("Object", options=names)
         self.scene = server.gui.add_number("Scene", initial_value=0, min=0, step=1)
         self.again = server.gui.add_button("Reset key poses")
-        self.object.on_update(lambda _: self.reset())
-        self.scene.on_update(lambda _: self.reset())
-        self.again.on_click(lambda _: self.reset())
+        self.object.on_update(lambda _: guarded(self.reset))
+        self.scene.on_update(lambda _: guarded(self.reset))
+        self.again.on_click(lambda _: guarded(self.reset))
         self.reset()
 
-    def reset(self) -> None:
-        """The task that the cell's data say, in the chosen scene."""
-        with self._lock:
-            poses = sample_scene(self._cell, int(self.scene.value))
-            self.task = make_task(self._cell, self.object.value, poses)
-            self._place_handles()
-            self._tell()
+    def reset(self) -> str:
+        """Begin with the task that the cell's data say, in the chosen scene; what can be done.
+
+        Raises:
+            HybridJaxError: there is no such task; the present one stays.
+        """
+        poses = sample_scene(self._cell, int(self.scene.value))
+        self.task = make_task(self._cell, self.object.value, poses)
+        self._place_handles()
+        self._tell()
+        return INVITATION
 
     def _place_handles(self) -> None:
         for handle in self._handles:
@@ -67,15 +74,15 @@ class TaskPanel:
             handle = self._server.scene.add_transform_controls(
                 f"/key/{number}", scale=0.1, position=row[:3], wxyz=row[3:], depth_test=False
             )
-            handle.on_update(lambda _: self._dragged())
+            handle.on_update(lambda _: self._guarded(self._dragged))
             self._handles.append(handle)
             self._labels.append(self._server.scene.add_label(f"/key/{number}/label", str(number)))
 
-    def _dragged(self) -> None:
-        with self._lock:
-            rows = [np.concatenate([handle.position, handle.wxyz]) for handle in self._handles]
-            self.task = with_key_poses(self._cell, self.task, np.stack(rows))
-            self._tell()
+    def _dragged(self) -> str:
+        rows = [np.concatenate([handle.position, handle.wxyz]) for handle in self._handles]
+        self.task = with_key_poses(self._cell, self.task, np.stack(rows))
+        self._tell()
+        return "Key poses dragged; plan."
 
     def _tell(self) -> None:
         poses = self.task.key_poses[self.task.given]
