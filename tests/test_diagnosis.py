@@ -95,3 +95,8 @@ def test_the_command_ends_with_what_it_found(tmp_path, capsys):
     path.write_text(GOOD.replace('<site name="tool"/>', ""))
     assert check.main(str(path)) == 1
     assert "add a site named 'tool'" in capsys.readouterr().out
+
+
+def test_the_engine_says_nothing_needless(capfd):
+    diagnose(find_workcell("gen3_handling"))
+    assert capfd.readouterr().err == ""

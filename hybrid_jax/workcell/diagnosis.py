@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from hybrid_jax.errors import HybridJaxError, WorkcellError
+from hybrid_jax.quiet import engine_messages
 from hybrid_jax.workcell import geometry
 from hybrid_jax.workcell.chain import DEFAULT_ACCELERATION, DEFAULT_VELOCITY, reference_data
 from hybrid_jax.workcell.compile import MESH_TOLERANCE
@@ -115,7 +116,8 @@ def _masses(path: Path, model: mujoco.MjModel, layout: Layout) -> Iterator[Findi
     links = {b for j in layout.joints for b in body_path(model, int(model.jnt_bodyid[j]))}
     links = {model.body(b).name for b in links if model.body_weldid[b]}
     if path.suffix == ".xml":
-        spec = mujoco.MjSpec.from_file(str(path))
+        with engine_messages(path.name):
+            spec = mujoco.MjSpec.from_file(str(path))
         for body in spec.bodies:
             if body.name in links and not body.explicitinertial:
                 mass = model.body(body.name).mass[0]
