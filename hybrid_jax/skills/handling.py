@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Handling tasks: take an object from where it lies and put it into its tray."""
 
+import functools
+
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
@@ -24,9 +26,12 @@ def _grasp_frame(spec: ObjectSpec, grasp: int) -> RigidTransform:
     return RigidTransform.from_components(np.array(spec.grasps[grasp]), _DOWN)
 
 
+@functools.cache
 def object_in_tool(spec: ObjectSpec, grasp: int = 0) -> np.ndarray:
-    """`[7]` pose of a grasped object in the tool's frame."""
-    return as_row(_grasp_frame(spec, grasp).inv())
+    """`[7]` pose of a grasped object in the tool's frame; to be read only, all callers share it."""
+    row = as_row(_grasp_frame(spec, grasp).inv())
+    row.setflags(write=False)
+    return row
 
 
 def grasp_pose(spec: ObjectSpec, pose: np.ndarray, grasp: int = 0) -> RigidTransform:
