@@ -19,7 +19,7 @@ from benchmarks.report import metric, race, rate, write
 from hybrid_jax.devices import Spread, use_all_cores
 from hybrid_jax.ik import solve_ik
 from hybrid_jax.kernels import collision
-from hybrid_jax.kernels.batching import CPU_CHUNK
+from hybrid_jax.kernels.batching import CPU_CHUNK, by_backend
 from hybrid_jax.kernels.kinematics import tool_pose
 from hybrid_jax.kernels.rays import sense
 from hybrid_jax.quiet import import_mjx
@@ -28,6 +28,8 @@ from hybrid_jax.workcell.load import load_workcell
 
 CELL = "gen3_handling"
 BATCH = 65536
+IK_BATCH, MJX_BATCH = 1024, 512
+"""Of what is slow on a CPU; 16 times as many on an accelerator."""
 SIGNS = 100_000
 BAND = 1e-4
 """Clearances nearer to zero than this are left out of the comparison of signs [m]."""
@@ -177,8 +179,9 @@ def main(json: Path | None = None, mjx: bool = True) -> None:
     first = time.perf_counter() - began_first
     speed = contest(cell, q, lambda: clear(shared, items))
     ours, native = speed["ours"], speed["mujoco"]
-    keys = jax.random.split(jax.random.key(0), 1024)
-    some = spread.split(np.asarray(poses)[:1024]), spread.split(keys)
+    count_ik, count_mjx = (by_backend(n, 16 * n) for n in (IK_BATCH, MJX_BATCH))
+    keys = jax.random.split(jax.random.key(0), count_ik)
+    some = spread.split(np.asarray(poses)[:count_ik]), spread.split(keys)
     found = float(jnp.mean(solve(shared, *some).found))
     flops, peak = operations(cell), arithmetic_peak()
     count = -(-SIGNS // len(spread.devices)) * len(spread.devices)
@@ -208,16 +211,16 @@ def main(json: Path | None = None, mjx: bool = True) -> None:
         metric("kernels.fk", rate(lambda: fk(shared, items), BATCH)[0], "1/s", "higher"),
         metric("kernels.rays", rate(lambda: rays(shared, poses), BATCH)[0], "1/s", "higher",
                "25 each"),
-        metric("kernels.ik", rate(lambda: solve(shared, *some), 1024)[0], "1/s", "higher",
-               f"16 seeds, {found:.4f} found"),
+        metric("kernels.ik", rate(lambda: solve(shared, *some), count_ik)[0], "1/s",
+               "higher", f"batch of {count_ik}, 16 seeds, {found:.4f} found"),
     ]  # fmt: skip
     if "pybullet" in speed:
         slow = speed["pybullet"]
         figures.append(metric("kernels.pybullet", slow, "1/s", "higher"))
         figures.append(metric("kernels.clearance_vs_pybullet", ours / slow, "1", "higher"))
     if mjx:
-        batched = mjx_rate(cell, q[:512])
-        figures.append(metric("kernels.mjx", batched, "1/s", "higher", "batch of 512"))
+        batched = mjx_rate(cell, q[:count_mjx])
+        figures.append(metric("kernels.mjx", batched, "1/s", "higher", f"batch of {count_mjx}"))
         figures.append(metric("kernels.clearance_vs_mjx", ours / batched, "1", "higher"))
     write(figures, json)
     print(f"{time.perf_counter() - began:.0f} s")

@@ -8,6 +8,7 @@ import numpy as np
 import oracles
 import pytest
 
+from hybrid_jax.kernels import collision
 from hybrid_jax.kernels.collision import (
     clearance,
     clearance_up_to,
@@ -133,6 +134,21 @@ def test_a_large_batch_is_as_exact_as_every_pair(cell):
     np.testing.assert_allclose(batch(q), few, atol=1e-6)
     parts = jax.jit(jax.vmap(lambda one: clearances(cell, one)))(q)
     np.testing.assert_allclose(jnp.min(parts, axis=1), few, atol=1e-6)
+
+
+def test_an_accelerators_passes_give_the_same(cell, monkeypatch):
+    """Its sizes of batches, tried on this device, against every pair of every configuration."""
+    low, high = np.asarray(cell.joint_limits).T
+    q = jnp.asarray(np.random.default_rng(5).uniform(low, high, (2200, len(low))), jnp.float32)
+    wide = jax.tree.map(lambda a: jnp.asarray(a)[None], cell)
+    whole = np.asarray(collision._kernel(wide, q, parts="all", measured=None).distance)
+    asked = []
+    monkeypatch.setattr(collision, "by_backend", lambda cpu, other: asked.append(other) or other)
+    exact, near = collision._CLOSEST["all"], collision._NEAR
+    run = jax.vmap(lambda one: (exact(cell, one).distance, near(cell, one, jnp.float32(0.01))))
+    found = np.asarray(jax.jit(run)(q))
+    assert asked and max(asked) < len(q)
+    np.testing.assert_allclose(found, [whole, np.minimum(whole, 0.01)], atol=1e-6)
 
 
 @pytest.mark.parametrize("enough", [0.004, 0.02])

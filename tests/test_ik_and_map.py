@@ -148,6 +148,7 @@ def test_several_devices_build_the_same_map():
 
     code = """
 import sys, jax
+jax.config.update("jax_platforms", "cpu")
 jax.config.update("jax_num_cpu_devices", int(sys.argv[1]))
 from hybrid_jax.compilecache import enable_compile_cache
 enable_compile_cache()

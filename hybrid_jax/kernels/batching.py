@@ -15,8 +15,13 @@ from jax.custom_batching import custom_vmap
 
 CPU_CHUNK = 256
 """Items at once on a CPU: the working set of a chunk stays in the second-level cache."""
-GPU_CHUNK = 65536
-"""The same elsewhere: bounds the memory of one pass."""
+ACCELERATOR_CHUNK = 65536
+"""The same on an accelerator: bounds the memory of one pass."""
+
+
+def by_backend(cpu: int, accelerator: int) -> int:
+    """How many items to take at once: few fit a CPU's cache, few leave an accelerator waiting."""
+    return cpu if jax.default_backend() == "cpu" else accelerator
 
 
 def batch_size(args) -> int:
@@ -83,7 +88,7 @@ def batched(kernel: Callable) -> Callable:
 def in_chunks(kernel: Callable, *args, cpu_chunk: int = CPU_CHUNK):
     """Run a kernel over a batch piece by piece."""
     size = batch_size(args)
-    chunk = cpu_chunk if jax.default_backend() == "cpu" else GPU_CHUNK
+    chunk = by_backend(cpu_chunk, ACCELERATOR_CHUNK)
     if size <= chunk:
         return kernel(*args)
     count = -(-size // chunk)
