@@ -5,8 +5,10 @@ Exit codes: 0 done; 1 done, and the answer is no (no plan, a cell that is not fi
 a file that cannot be read or written; 70 a defect of this package; 130 stopped by Ctrl-C.
 """
 
+import _thread
 import json
 import sys
+import threading
 import traceback
 from collections.abc import Callable
 
@@ -27,8 +29,20 @@ def answer(text: str, values: dict | list, as_json: bool) -> None:
     print(json.dumps(values, indent=1) if as_json else text, flush=True)
 
 
+def _interrupt_again(dropped) -> None:
+    """Python drops what destructors and the garbage collector's callbacks raise, Ctrl-C too.
+
+    JAX has such a callback, in which one Ctrl-C of five fell while it compiled.
+    """
+    if dropped.exc_type is KeyboardInterrupt:
+        threading.Timer(0.05, _thread.interrupt_main).start()  # once this has been left
+    else:
+        sys.__unraisablehook__(dropped)
+
+
 def run_cli(command: Callable[[], int]) -> None:
     """Run a command to its exit code; what goes wrong is said in one sentence."""
+    sys.unraisablehook = _interrupt_again
     try:
         code = command()
     except HybridJaxError as error:

@@ -154,12 +154,37 @@ def test_metrics_for_tensorboard(cell, tmp_path):
     assert b"drl/reward" in path.read_bytes() and b"note" not in path.read_bytes()
 
 
+def test_ctrl_c_is_not_lost_in_the_garbage_collector():
+    """Python only reports what is raised there, and goes on."""
+    code = """
+import gc, time
+from hybrid_jax.terminal import run_cli
+
+def interrupted(phase, info):
+    gc.callbacks.clear()
+    raise KeyboardInterrupt
+
+def command():
+    gc.callbacks.append(interrupted)
+    gc.collect()
+    time.sleep(1)
+    return 0
+
+run_cli(command)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (130, "\nstopped\n")
+
+
 def test_ctrl_c_ends_with_130_and_says_how_to_go_on(tmp_path):
     folder = tmp_path / "run"
+    # what a shell starts in the background ignores Ctrl-C, and so would its children
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     process = subprocess.Popen(
         [sys.executable, "-m", "hybrid_jax.train", "map", "--out", str(folder)],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
+    signal.signal(signal.SIGINT, before)
     until = time.monotonic() + 60
     while not (folder / "config.json").is_file() and time.monotonic() < until:
         time.sleep(0.1)
