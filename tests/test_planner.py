@@ -344,7 +344,7 @@ def test_a_key_pose_on_the_way_must_be_passed(cell, planned):
     task, plan = planned
     engine = checking.Engine(cell)
     path, lifted = plan.phases[1].positions, checking.pose_row(task.key_poses[2])
-    beside, turned = lifted + [0, 0, 0.05, 0, 0, 0, 0], lifted.copy()
+    beside, turned = lifted + [0, 0, 0.5, 0, 0, 0, 0], lifted.copy()  # out of any way
     turned[3:] = dq.mul(dq.from_parts(np.zeros(3), lifted[3:]),
                         dq.from_parts(np.zeros(3), np.array([0.98, 0, 0, 0.199])))[:4]  # fmt: skip
     poses = {"it": lifted, "one beside": beside, "one turned": turned}

@@ -22,7 +22,7 @@ USE = "import hybrid_jax as hj; c = hj.load_workcell('gen3_handling'); hj.cleara
 
 def run(code, **environment):
     """A fresh process without the settings of this one."""
-    inherited = {k: v for k, v in os.environ.items() if not k.startswith("JAX_")}
+    inherited = {k: v for k, v in os.environ.items() if not k.startswith(("JAX_", "XLA_"))}
     return subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, env=inherited | environment
     )
