@@ -157,8 +157,10 @@ def test_metrics_for_tensorboard(cell, tmp_path):
 def test_ctrl_c_is_not_lost_in_the_garbage_collector():
     """Python only reports what is raised there, and goes on."""
     code = """
-import gc, time
+import gc, signal, time
 from hybrid_jax.terminal import run_cli
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a background shell ignores it
 
 def interrupted(phase, info):
     gc.callbacks.clear()
