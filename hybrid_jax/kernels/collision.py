@@ -33,11 +33,11 @@ from hybrid_jax.types import Shapes, Workcell
 _MEASURED = (5, 6)
 """Measured at first: the best so many pairs of the best so many rows. More of either makes fewer
 configurations uncertain, and costs more for all."""
-_MEASURED_NEAR = (4, 5)
+_MEASURED_NEAR = (5, 5)
 """The same where only what is near counts: most configurations are certain by their bounds."""
 _TABLE = 64
 """Configurations at a time of which every pair is measured: the uncertain, and small batches."""
-_REDO = 16
+_REDO = 8
 """The same for the uncertain ones where only what is near counts: they are few."""
 _ACCELERATOR_TABLE = 2048
 """Both on an accelerator: an H100 spends nine tenths of its time on passes of 64."""

@@ -31,6 +31,10 @@ CHECKED_IN_SCENES = 64, 512
 FAR_ENOUGH = 0.05
 """Clearances beyond this are not told apart [m]."""
 
+Measure = Callable[[np.ndarray, np.ndarray, float], np.ndarray]
+"""Numbers of paths `[n]`, a configuration on each `[n, joint]` and a largest clearance that counts
+to clearances `[n]` [m]: all paths in one scene, or each in its own."""
+
 
 def motion_reach(cell: Workcell) -> Float[Array, "n"]:
     """How far any point of robot or payload may move per unit of each joint [m/rad or m/m].
@@ -128,6 +132,21 @@ def path_clearance(cell: Workcell, q: np.ndarray, enough: float = FAR_ENOUGH) ->
     return _in_calls(lambda _, q: _batch_clearance(cell, cell.scene, q, most), q, CHECKED)
 
 
+def measure_here(cell: Workcell) -> Measure:
+    """For paths in the scene of the cell."""
+    return lambda _, q, enough: path_clearance(cell, q, enough)
+
+
+def measure_in_scenes(cell: Workcell, scenes: Scene) -> Measure:
+    """For paths of which each has its scene, stacked."""
+    return functools.partial(clearances_in_scenes, cell, jax.device_get(scenes))
+
+
+def measure_some(measure: Measure, rows: np.ndarray) -> Measure:
+    """For those of the paths whose numbers are `rows`, numbered anew."""
+    return lambda path, q, enough: measure(rows[path], q, enough)
+
+
 def clearances_in_scenes(
     cell: Workcell, scenes: Scene, which: np.ndarray, q: np.ndarray, enough: float = FAR_ENOUGH
 ) -> np.ndarray:
@@ -167,7 +186,7 @@ def _split(q: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
 
 
 def _prove(
-    measure: Callable, reach: np.ndarray, paths: list[np.ndarray], margin: float, tolerance: float
+    measure: Measure, reach: np.ndarray, paths: list[np.ndarray], margin: float, tolerance: float
 ) -> np.ndarray:
     """Which polylines are proven to keep a margin on all their edges.
 
@@ -175,7 +194,7 @@ def _prove(
     robot moves along it. Where they do not, it is split. All paths go through this together.
 
     Args:
-        measure: `(path [n], q [n, joint], enough)` to clearances `[n]`.
+        measure: clearances on them.
         reach: `[path, joint]`, see `motion_reach`.
         paths: way points of each; one alone counts as free.
         margin, tolerance: see `path_is_free`.
@@ -232,8 +251,7 @@ def path_is_free(
         tolerance: a path that comes this close to the margin counts as blocked [m].
     """
     reach = np.asarray(_reach(cell, cell.scene), float)[None]
-    measure = lambda _, q, enough: path_clearance(cell, q, enough)  # noqa: E731
-    return bool(_prove(measure, reach, [q], margin, tolerance)[0])
+    return bool(_prove(measure_here(cell), reach, [q], margin, tolerance)[0])
 
 
 def paths_are_free(
@@ -250,5 +268,4 @@ def paths_are_free(
     own = lambda rows, _: _reaches(cell, jax.tree.map(lambda a: a[rows], scenes))  # noqa: E731
     starts = np.stack([path[0] for path in paths])
     reach = _in_calls(own, starts, CHECKED_IN_SCENES)
-    measure = functools.partial(clearances_in_scenes, cell, scenes)
-    return _prove(measure, reach, paths, margin, tolerance)
+    return _prove(measure_in_scenes(cell, scenes), reach, paths, margin, tolerance)

@@ -6,7 +6,14 @@ from dataclasses import dataclass
 import jax
 import numpy as np
 
-from hybrid_jax.kernels.edges import path_clearance, path_is_free, paths_are_free
+from hybrid_jax.kernels.edges import (
+    Measure,
+    measure_in_scenes,
+    measure_some,
+    path_clearance,
+    path_is_free,
+    paths_are_free,
+)
 from hybrid_jax.planner import checking, combining, smoothing, timing
 from hybrid_jax.planner.bridging import Way
 from hybrid_jax.planner.checking import PhaseScene
@@ -43,31 +50,57 @@ class Draft:
     """Over the gaps of the legs, by their names."""
 
 
-def phase_path(
-    cell: Workcell, legs: list[Leg], ways: dict[tuple, Way], planner: Planner
-) -> PhasePath:
-    """The legs of a phase as one path; the joint agent's detours are cut short."""
+def first_scenes(drafts: list[Draft]) -> Scene:
+    """The scene in which each phase begins, stacked; on the host."""
+    firsts = [(draft.scenes, draft.task.phases[draft.number][0]) for draft in drafts]
+    scenes = [jax.tree.map(lambda a, k=k: a[k], some) for some, k in firsts]
+    return jax.tree.map(lambda *a: np.stack(a), *scenes)
+
+
+def phase_paths(planner: Planner, drafts: list[Draft], measure: Measure) -> list[PhasePath]:
+    """The legs of each phase as one path; the detours over its gaps are cut short.
+
+    Args:
+        planner: margin and smoothing.
+        drafts: the phases.
+        measure: clearances in the scene of each.
+    """
+    gaps = [
+        (number, leg.name)
+        for number, draft in enumerate(drafts)
+        for leg in draft.legs
+        if leg.has_gap and leg.name in draft.ways
+    ]
+    short = smoothing.shortcut_paths(
+        measure_some(measure, np.array([number for number, _ in gaps], int)),
+        [drafts[number].ways[name].path for number, name in gaps],
+        planner.config.labels.margin, planner.config.smoothing,
+    )  # fmt: skip
+    bridged = dict(zip(gaps, short, strict=True))
+    return [_phase_path(draft, number, bridged) for number, draft in enumerate(drafts)]
+
+
+def _phase_path(draft: Draft, number: int, bridged: dict[tuple, np.ndarray]) -> PhasePath:
+    """The legs of phase `number` as one path, with the motions that bridge its gaps."""
     q, feasible, windows, at = [], [], [], 0
-    for number, leg in enumerate(legs):
-        skip = int(number > 0)  # a key pose between two legs stands once
-        if leg.has_gap and leg.name in ways:
-            way = ways[leg.name]
-            short = smoothing.shortcut(
-                cell, way.path, planner.config.labels.margin, planner.config.smoothing
-            )
-            windows.append(Window(at + leg.first - skip, at + leg.last - skip, short, way.source))
+    for place, leg in enumerate(draft.legs):
+        skip = int(place > 0)  # a key pose between two legs stands once
+        path = bridged.get((number, leg.name))
+        if path is not None:
+            first, last = (at + point - skip for point in (leg.first, leg.last))
+            windows.append(Window(first, last, path, draft.ways[leg.name].source))
         q.append(leg.q[skip:])
         feasible.append(leg.feasible[skip:])
         at += len(leg.q) - skip
     return PhasePath(np.concatenate(q), np.concatenate(feasible), windows)
 
 
-def _candidates(planner: Planner, cell: Workcell, phase: PhasePath):
+def _candidates(planner: Planner, phase: PhasePath):
     """Joint paths of a phase with their sources: the switch's choice, then the designed seams."""
     if not phase.windows:  # there is nothing to choose
         yield combining.follow_windows(phase)
         return
-    combined = combining.combine(cell, phase, planner.scale)
+    combined = combining.combine(planner.cell, phase, planner.scale)
     choice = planner.switch(combined)
     yield combining.assemble(choice, phase)
     if not (np.asarray(choice) == np.asarray(combined.available)).all():
@@ -155,47 +188,54 @@ def finish_phases(
         engine: that judges at last.
         drafts: the phases.
     """
+    if not drafts:
+        return []
     found: list[Trajectory | Fault] = [
         Fault(Status.SEAM_FAILED, Status.SEAM_FAILED.sentence) for _ in drafts
     ]
-    cells = [inside(planner.cell, d.scenes, d.task.phases[d.number][0]) for d in drafts]
-    paths = [
-        _candidates(planner, cell, phase_path(cell, d.legs, d.ways, planner))
-        for cell, d in zip(cells, drafts, strict=True)
-    ]
+    cell, scenes = planner.cell, first_scenes(drafts)
+    measure = measure_in_scenes(cell, scenes)
+    paths = [_candidates(planner, phase) for phase in phase_paths(planner, drafts, measure)]
     going = list(range(len(drafts)))
     while going:
         tried = {i: next(paths[i], None) for i in going}
         going = [i for i in going if tried[i] is not None]
-        smooth = {i: smoothing.smooth(cells[i], *tried[i], planner.config.smoothing) for i in going}
-        kept = [i for i in going if smooth[i] is not None]
-        timed = timing.time_parameterize(
-            planner.cell, [smooth[i] for i in kept], planner.config.timing,
-            [drafts[i].task.tool_speed(drafts[i].number) for i in kept],
-        )  # fmt: skip
-        moving = {i: motion for i, motion in zip(kept, timed, strict=True) if motion is not None}
-        free = _proven(planner.cell, engine, {i: drafts[i] for i in moving}, moving)
+        moving = _moving(planner, drafts, {i: tried[i] for i in going}, measure)
+        free = _proven(cell, engine, scenes, moving)
         for i, motion in moving.items():
-            task, number = drafts[i].task, drafts[i].number
-            faults = find_faults(cells[i], engine, task, number, motion, free[i])
+            here, draft = inside(cell, scenes, i), drafts[i]
+            faults = find_faults(here, engine, draft.task, draft.number, motion, free[i])
             found[i] = Fault(Status.COLLISION, "; ".join(faults)) if faults else motion
         going = [i for i in going if isinstance(found[i], Fault)]
     return found
 
 
+def _moving(
+    planner: Planner,
+    drafts: list[Draft],
+    paths: dict[int, smoothing.MarkedPath],
+    measure: Measure,
+) -> dict[int, Trajectory]:
+    """Smoothed and timed motions along the paths of some drafts, where there are any."""
+    config, rows = planner.config, np.array(list(paths), int)
+    smooth = smoothing.smooth_paths(
+        measure_some(measure, rows), list(paths.values()), config.smoothing
+    )
+    kept = {int(i): path for i, path in zip(rows, smooth, strict=True) if path is not None}
+    speeds = [drafts[i].task.tool_speed(drafts[i].number) for i in kept]
+    timed = timing.time_parameterize(planner.cell, list(kept.values()), config.timing, speeds)
+    return {i: motion for i, motion in zip(kept, timed, strict=True) if motion is not None}
+
+
 def _proven(
-    cell: Workcell,
-    engine: checking.Engine,
-    drafts: dict[int, Draft],
-    motions: dict[int, Trajectory],
+    cell: Workcell, engine: checking.Engine, scenes: Scene, motions: dict[int, Trajectory]
 ) -> dict[int, bool]:
-    """Which motions the kernels prove free, each in the scene of its draft."""
-    firsts = [(draft.scenes, draft.task.phases[draft.number][0]) for draft in drafts.values()]
-    scenes = [jax.tree.map(lambda a, k=k: a[k], scenes) for scenes, k in firsts]
+    """Which motions the kernels prove free, each in its scene of `scenes`."""
     points = [
         checking.checked_points(motion.positions, engine.config.max_step)
         for motion in motions.values()
     ]
-    stacked = jax.tree.map(lambda *a: np.stack(a), *scenes) if scenes else None
-    free = paths_are_free(cell, stacked, points, tolerance=PROVEN)
-    return dict(zip(drafts, free.tolist(), strict=True))
+    rows = np.array(list(motions), int)
+    own = jax.tree.map(lambda a: a[rows], scenes)
+    return dict(zip(motions, paths_are_free(cell, own, points, tolerance=PROVEN).tolist(),
+                    strict=True))  # fmt: skip

@@ -5,18 +5,17 @@ import functools
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 from jax import Array
 from jaxtyping import Float
-from scipy.spatial.transform import RigidTransform
 
-from hybrid_jax.planner.checking import PhaseScene
+from hybrid_jax.planner.checking import PhaseScene, pose_row
 from hybrid_jax.skills.handling import object_in_tool, require_handling
 from hybrid_jax.skills.scenes import require_task_data
 from hybrid_jax.skills.task import Task
 from hybrid_jax.types import Scene, Workcell
 from hybrid_jax.workcell import scene as scenes
-from hybrid_jax.workcell.geometry import as_row, pose_of
 from hybrid_jax.workcell.layout import home_qpos
 
 REACHING, CARRYING, LEAVING, TRANSFERRING = range(4)
@@ -36,8 +35,9 @@ def placed_pose(cell: Workcell, task: Task) -> np.ndarray:
     """`[7]` where the object of a task that carries lies once it has been let go."""
     last = task.key_poses[1 + int(np.flatnonzero(task.carrying)[-1])]
     hangs = object_in_tool(require_handling(cell).object(task.object_name), task.grasp)
-    tool = RigidTransform.from_dual_quat(last.astype(float), scalar_first=True)
-    return as_row(tool * pose_of(hangs[:3], hangs[3:]))
+    tool, place, quat = pose_row(last), np.empty(3), np.empty(4)
+    mujoco.mju_mulPose(place, quat, tool[:3], tool[3:], hangs[:3], hangs[3:])
+    return np.concatenate([place, quat])
 
 
 @functools.partial(jax.jit, static_argnames=("name", "grasp", "support"))

@@ -1,21 +1,21 @@
 # SPDX-License-Identifier: MIT
 """Make joint paths shorter and smoother, and leave alone what was demonstrated."""
 
-import functools
 from dataclasses import dataclass
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from scipy.ndimage import gaussian_filter1d
 
-from hybrid_jax.kernels.collision import clearance_up_to, points_between
-from hybrid_jax.kernels.edges import path_clearance, split_counts
-from hybrid_jax.types import Scene, Workcell
+from hybrid_jax.kernels.edges import Measure, measure_here, split_counts
+from hybrid_jax.types import Workcell
+
+MarkedPath = tuple[np.ndarray, np.ndarray]
+"""A joint path `[point, joint]` and the source of each of its points `[point]`."""
 
 LEAST_GAIN = 1e-3
 """Way that a shortcut must save [rad]."""
+FEW = 4
+"""One point of so many of an edge is looked at before the others."""
 
 
 @dataclass(frozen=True)
@@ -63,44 +63,83 @@ def densify(q: np.ndarray, spacing: float) -> np.ndarray:
     return at_places(q, refine(q, spacing))
 
 
-@functools.partial(jax.jit, static_argnames="samples")
-def _edges_are_free(cell: Workcell, scene: Scene, starts, ends, margin, samples: int) -> Array:
-    inside = cell.replace(scene=scene)
-    check = jax.vmap(lambda q: clearance_up_to(inside, q, margin))
-    points = jax.vmap(lambda a, b: points_between(a, b, samples))(starts, ends)
-    return jnp.all(jax.vmap(check)(points) >= margin, axis=1)
-
-
-def _best_shortcut(cell, q: np.ndarray, pairs: np.ndarray, margin: float, config) -> int | None:
-    """Which pair of points saves most by the free edge between them; None if none does."""
-    starts, ends = (q[column].astype(np.float32) for column in pairs.T)
+def _promising(q: np.ndarray, rng, config: SmoothingConfig) -> np.ndarray:
+    """Pairs of points `[pair, 2]` that an edge between them would shorten the path by, best first.
+    """
+    pairs = np.sort(rng.integers(0, len(q), (config.shortcuts, 2)), axis=1)
     length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))])
-    gain = length[pairs[:, 1]] - length[pairs[:, 0]] - np.linalg.norm(ends - starts, axis=1)
+    starts, ends = pairs.T
+    gain = length[ends] - length[starts] - np.linalg.norm(q[ends] - q[starts], axis=1)
     best = np.argsort(-gain, kind="stable")[: config.checked]
-    if gain[best[0]] <= LEAST_GAIN:
-        return None
-    free = _edges_are_free(
-        cell, cell.scene, starts[best], ends[best], np.float32(margin), config.fine
-    )
-    kept = np.flatnonzero(np.asarray(free) & (gain[best] > LEAST_GAIN))
-    return int(best[kept[0]]) if kept.size else None
+    return pairs[best[gain[best] > LEAST_GAIN]]
+
+
+def _first_free(
+    measure: Measure, owner: np.ndarray, edges: np.ndarray, margin: float, fine: int
+) -> np.ndarray:
+    """Numbers of the first edge of each path that keeps a margin at `fine` points, where one does.
+
+    Most of the edges that would save much are blocked, and few points show it.
+
+    Args:
+        measure: clearances on the paths.
+        owner: `[edge]` the path that each belongs to.
+        edges: `[edge, 2, joint]` those of a path in their order.
+        margin: to be kept [m].
+        fine: points of an edge.
+    """
+
+    def keeps(some: np.ndarray, share: np.ndarray) -> np.ndarray:
+        starts, ends = edges[some, :1], edges[some, 1:]
+        points = (starts + share[:, None] * (ends - starts)).reshape(-1, edges.shape[2])
+        gaps = measure(np.repeat(owner[some], len(share)), points, margin)
+        return (gaps.reshape(-1, len(share)) >= np.float32(margin)).all(axis=1)
+
+    share = np.arange(1, fine + 1) / fine
+    few = np.arange(fine) % FEW == FEW - 1
+    left = np.flatnonzero(keeps(np.arange(len(edges)), share[few]))
+    found = []
+    while len(left):
+        firsts = left[np.unique(owner[left], return_index=True)[1]]
+        good = keeps(firsts, share[~few])
+        found.append(firsts[good])
+        left = left[~np.isin(left, firsts) & ~np.isin(owner[left], owner[firsts[good]])]
+    return np.concatenate(found) if found else np.zeros(0, int)
+
+
+def shortcut_paths(
+    measure: Measure, paths: list[np.ndarray], margin: float, config: SmoothingConfig, seed: int = 0
+) -> list[np.ndarray]:
+    """Replace detours of polylines by straight edges that keep the margin, all of them together.
+
+    Args:
+        measure: clearances on them.
+        paths: `[point, joint]` each.
+        margin: at the points of the edges [m].
+        config: how many edges are tried, how finely.
+        seed: of the draws, the same for each path.
+    """
+    rngs = [np.random.default_rng(seed) for _ in paths]
+    paths = [densify(q, config.spacing) for q in paths]
+    for _ in range(config.shortcut_rounds):
+        pairs = [_promising(q, rng, config) for q, rng in zip(paths, rngs, strict=True)]
+        counts = np.array([len(some) for some in pairs], int)
+        if not counts.any():
+            continue
+        owner = np.repeat(np.arange(len(paths)), counts)
+        edges = np.concatenate([q[some] for q, some in zip(paths, pairs, strict=True)])
+        pairs = np.concatenate(pairs)
+        for edge in _first_free(measure, owner, edges, margin, config.fine):
+            q, (a, b) = paths[owner[edge]], pairs[edge]
+            paths[owner[edge]] = densify(np.concatenate([q[: a + 1], q[b:]]), config.spacing)
+    return paths
 
 
 def shortcut(
-    cell: Workcell, q: np.ndarray, margin: float, config: SmoothingConfig, seed: int = 0
+    cell: Workcell, q: np.ndarray, margin: float, config: SmoothingConfig
 ) -> np.ndarray:
-    """Replace detours of a polyline by straight edges that keep the margin."""
-    rng = np.random.default_rng(seed)
-    q = densify(q, config.spacing)
-    for _ in range(config.shortcut_rounds):
-        if len(q) < 3:
-            break
-        pairs = np.sort(rng.integers(0, len(q), (config.shortcuts, 2)), axis=1)
-        best = _best_shortcut(cell, q, pairs, margin, config)
-        if best is not None:
-            a, b = pairs[best]
-            q = densify(np.concatenate([q[: a + 1], q[b:]]), config.spacing)
-    return q
+    """`shortcut_paths` of one path, in the scene of the cell."""
+    return shortcut_paths(measure_here(cell), [q], margin, config)[0]
 
 
 def _filtered(q: np.ndarray, width: float) -> np.ndarray:
@@ -121,33 +160,58 @@ def _required(gap: np.ndarray, config: SmoothingConfig) -> np.ndarray:
     return margin
 
 
-def smooth(
-    cell: Workcell, q: np.ndarray, sources: np.ndarray, config: SmoothingConfig
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """Round the corners of a path as far as the margin allows.
-
-    Args:
-        cell: in the scene of the path.
-        q: `[point, joint]`.
-        sources: `[point]` 0 for what was demonstrated: there, the filter is narrow.
-        config: widths and margin.
-
-    Returns:
-        The path `[n, joint]` in small steps and the source of each point; None if no width keeps
-        the margin. The ends stay exactly where they are.
-    """
+def _resampled(q: np.ndarray, sources: np.ndarray, config: SmoothingConfig) -> MarkedPath:
+    """The path in small, even steps."""
     moved = np.concatenate([[True], np.abs(np.diff(q, axis=0)).max(axis=1) > 1e-5])
     moved[-1] = True
     q, sources = q[moved], sources[moved]
     places = refine(q, min(config.spacing, max(1e-4, np.abs(np.diff(q, axis=0)).max() / 4)))
-    dense, sources = at_places(q, places), sources[np.round(places).astype(int)]
+    return at_places(q, places), sources[np.round(places).astype(int)]
+
+
+def _rounded(q: np.ndarray, sources: np.ndarray, width: float, config: SmoothingConfig):
+    """The path with its corners rounded: widely, but narrowly what was demonstrated."""
     free = gaussian_filter1d((sources > 0).astype(float), config.blend)
     free = np.clip(2 * free, 0, 1)[:, None]
+    kept = _filtered(q, min(width, config.kept))
+    path = kept + free * (_filtered(q, width) - kept)
+    path[0], path[-1] = q[0], q[-1]
+    return path
+
+
+def smooth_paths(
+    measure: Measure, paths: list[MarkedPath], config: SmoothingConfig
+) -> list[MarkedPath | None]:
+    """Round the corners of paths as far as the margin allows, all of them together.
+
+    Args:
+        measure: clearances on them.
+        paths: with source 0 for what was demonstrated: there, the filter is narrow.
+        config: widths and margin.
+
+    Returns:
+        Each path in small steps and the source of each point; None if no width keeps the margin.
+        The ends stay exactly where they are.
+    """
+    dense = [_resampled(q, sources, config) for q, sources in paths]
+    found: list[MarkedPath | None] = [None] * len(paths)
+    going = list(range(len(paths)))
     for width in config.widths:
-        kept = _filtered(dense, min(width, config.kept))
-        path = kept + free * (_filtered(dense, width) - kept)
-        path[0], path[-1] = dense[0], dense[-1]
-        gap = path_clearance(cell, densify(path, config.spacing / 2), config.margin)
-        if (gap >= _required(gap, config)).all():
-            return path, sources
-    return None
+        if not going:
+            break
+        tried = [_rounded(*dense[i], width, config) for i in going]
+        points = [densify(q, config.spacing / 2) for q in tried]
+        sizes = [len(q) for q in points]
+        gaps = measure(np.repeat(going, sizes), np.concatenate(points), config.margin)
+        for i, q, gap in zip(going, tried, np.split(gaps, np.cumsum(sizes)[:-1]), strict=True):
+            if (gap >= _required(gap, config)).all():
+                found[i] = q, dense[i][1]
+        going = [i for i in going if found[i] is None]
+    return found
+
+
+def smooth(
+    cell: Workcell, q: np.ndarray, sources: np.ndarray, config: SmoothingConfig
+) -> MarkedPath | None:
+    """`smooth_paths` of one path, in the scene of the cell."""
+    return smooth_paths(measure_here(cell), [(q, sources)], config)[0]

@@ -8,12 +8,12 @@ import jax
 from jax import Array
 
 from hybrid_jax.agents.switching import Combined
+from hybrid_jax.kernels.edges import measure_in_scenes
 from hybrid_jax.planner.checking import Engine
-from hybrid_jax.planner.combining import PhasePath, combine
-from hybrid_jax.planner.finishing import phase_path
+from hybrid_jax.planner.combining import combine
+from hybrid_jax.planner.finishing import Draft, first_scenes, phase_paths
 from hybrid_jax.planner.pipeline import Job, bridge_jobs, choose_route, prepare
 from hybrid_jax.planner.records import Planner
-from hybrid_jax.planner.scenes import inside
 from hybrid_jax.skills.task import Task
 
 
@@ -32,19 +32,20 @@ def combined_phases(planner: Planner, tasks: Sequence[Task], key: Array) -> list
     ready = [job for job in jobs.values() if not job.done]
     if planner.bridge is not None:
         bridge_jobs(planner, None, ready, key_bridge)
-    found = []
-    for job in ready:
-        found += [combine(planner.cell, path, planner.scale) for path in _phases(planner, job)]
-    return found
+    drafts = [draft for job in ready for draft in _drafts(planner, job)]
+    if not drafts:
+        return []
+    measure = measure_in_scenes(planner.cell, first_scenes(drafts))
+    paths = phase_paths(planner, drafts, measure)
+    return [combine(planner.cell, path, planner.scale) for path in paths]
 
 
-def _phases(planner: Planner, job: Job) -> list[PhasePath]:
+def _drafts(planner: Planner, job: Job) -> list[Draft]:
     """The phases of a job that have gaps, all of them bridged."""
     found = []
-    for low, high in job.task.phases:
+    for number, (low, high) in enumerate(job.task.phases):
         legs = job.legs[low:high]
         gaps = [leg.name for leg in legs if leg.has_gap]
         if gaps and (planner.bridge is None or all(name in job.ways for name in gaps)):
-            cell = inside(planner.cell, job.scenes, low)
-            found.append(phase_path(cell, legs, job.ways, planner))
+            found.append(Draft(job.task, job.scenes, number, legs, job.ways))
     return found
