@@ -181,7 +181,7 @@ def find_faults(
 def finish_phases(
     planner: Planner, engine: checking.Engine, drafts: list[Draft]
 ) -> list[Trajectory | Fault]:
-    """Switch, smooth, time and check phases, of one task or of many; all are timed together.
+    """Switch, smooth, time and check phases, of one task or of many, together at each step.
 
     Args:
         planner: configuration and switch.
@@ -237,5 +237,5 @@ def _proven(
     ]
     rows = np.array(list(motions), int)
     own = jax.tree.map(lambda a: a[rows], scenes)
-    return dict(zip(motions, paths_are_free(cell, own, points, tolerance=PROVEN).tolist(),
-                    strict=True))  # fmt: skip
+    free = paths_are_free(cell, own, points, tolerance=PROVEN)
+    return dict(zip(motions, free.tolist(), strict=True))

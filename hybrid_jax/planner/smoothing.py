@@ -64,8 +64,7 @@ def densify(q: np.ndarray, spacing: float) -> np.ndarray:
 
 
 def _promising(q: np.ndarray, rng, config: SmoothingConfig) -> np.ndarray:
-    """Pairs of points `[pair, 2]` that an edge between them would shorten the path by, best first.
-    """
+    """Pairs of points `[pair, 2]` between which an edge would be shorter, what saves most first."""
     pairs = np.sort(rng.integers(0, len(q), (config.shortcuts, 2)), axis=1)
     length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))])
     starts, ends = pairs.T
@@ -93,7 +92,7 @@ def _first_free(
         starts, ends = edges[some, :1], edges[some, 1:]
         points = (starts + share[:, None] * (ends - starts)).reshape(-1, edges.shape[2])
         gaps = measure(np.repeat(owner[some], len(share)), points, margin)
-        return (gaps.reshape(-1, len(share)) >= np.float32(margin)).all(axis=1)
+        return (gaps.reshape(len(some), len(share)) >= np.float32(margin)).all(axis=1)
 
     share = np.arange(1, fine + 1) / fine
     few = np.arange(fine) % FEW == FEW - 1
