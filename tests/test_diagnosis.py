@@ -66,6 +66,8 @@ def test_nothing_is_found_in_the_shipped_cells(name):
          ("no keyframe 'home'",)),
         ('size=".05 .05 .02"', 'size=".05 .05 .12"', WRONG,
          ("overlap in every configuration", "<exclude body1=")),
+        ('<geom name="upper" type', '<geom name="knob" size=".057"/><geom name="upper" type', WRONG,
+         ("base", "knob", "never further apart than 3.0 mm", "<exclude body1='base'")),
     ],
 )  # fmt: skip
 def test_each_mistake_is_named(tmp_path, old, new, level, words):

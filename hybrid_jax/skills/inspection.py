@@ -125,8 +125,8 @@ def random_start(cell: Workcell, rng: np.random.Generator) -> np.ndarray:
         if _clearance(cell, q) > ROOM:
             return q
     raise WorkcellError(
-        f"cell {cell.source.name!r}: {_TRIES} random starts in a row collide; make 'start_jitter' "
-        "smaller"
+        f"cell {cell.source.name!r}: none of {_TRIES} random starts has {1e3 * ROOM:.0f} mm of "
+        "clearance; make 'start_jitter' smaller, or give the arm more room at home"
     )
 
 

@@ -29,13 +29,15 @@ def may_collide(model: mujoco.MjModel, a: int, b: int) -> bool:
 
 
 def overlaps(
-    model: mujoco.MjModel, data: mujoco.MjData, robot: np.ndarray
+    model: mujoco.MjModel, data: mujoco.MjData, robot: np.ndarray, within: float = 0.0
 ) -> dict[tuple[int, int], float]:
     """Pairs of geoms, one of them the robot's, that overlap at `data.qpos`, and how deep [m].
 
     Args:
         model, data: the cell in C MuJoCo.
         robot: `[geom]` True for the robot's.
+        within: pairs count that are less than this apart, if the model's margins report them; how
+            deep they overlap is negative then [m].
     """
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
@@ -44,7 +46,7 @@ def overlaps(
         (int(a), int(b)): -float(contact.dist)
         for contact in data.contact[: data.ncon]
         for a, b in [sorted(contact.geom)]
-        if contact.dist < 0 and (robot[a] or robot[b]) and may_collide(model, a, b)
+        if contact.dist < within and (robot[a] or robot[b]) and may_collide(model, a, b)
     }
 
 

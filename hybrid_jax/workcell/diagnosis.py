@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Everything that is wrong with a cell's model at once; `load_workcell` stops at the first."""
 
+import copy
 import itertools
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,8 @@ from hybrid_jax.workcell.load import read_model
 WRONG, DOUBTFUL = "wrong", "doubtful"
 SAMPLES = 200
 """Random configurations in which pairs are tried that touch always."""
+CLOSE = 0.004
+"""A pair that is never further apart leaves no clearance that a motion could keep [m]."""
 NARROW = 0.2
 """A hinge that turns by less was probably meant in other units [rad]."""
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
@@ -149,20 +152,30 @@ def _home(model: mujoco.MjModel, layout: Layout) -> Iterator[Finding]:
 
 
 def _always_touching(model: mujoco.MjModel, layout: Layout) -> Iterator[Finding]:
-    """Bodies that overlap in every configuration: a missing exclusion, or a bad geom."""
-    rng, data, counts = np.random.default_rng(0), reference_data(model, layout), Counter()
+    """Bodies that touch, or nearly, in every configuration: a missing exclusion, or a bad geom."""
+    model = copy.deepcopy(model)
+    model.geom_margin[:] = model.body_margin[:] = CLOSE  # contacts are reported from this on
+    rng, data = np.random.default_rng(0), reference_data(model, layout)
     robot, joints = moved_geoms(model, layout), list(layout.joints)
     limited = model.jnt_limited[joints].astype(bool)[:, None]
     low, high = np.where(limited, model.jnt_range[joints], [-np.pi, np.pi]).T
+    depths = defaultdict(list)
     for _ in range(SAMPLES):
         data.qpos[list(layout.qpos)] = rng.uniform(low, high)
-        counts.update(overlaps(model, data, robot).keys())
-    for (a, b), count in counts.items():
-        if count == SAMPLES:
-            bodies = [model.body(model.geom_bodyid[g]).name for g in (a, b)]
-            yield Finding(
-                WRONG,
-                f"{geometry.geom_label(model, a)} and {geometry.geom_label(model, b)} overlap in "
-                f"every configuration: add <exclude body1='{bodies[0]}' body2='{bodies[1]}'/>, or "
-                "make one of them smaller",
-            )
+        for pair, depth in overlaps(model, data, robot, CLOSE).items():
+            depths[pair].append(depth)
+    for (a, b), found in depths.items():
+        if len(found) < SAMPLES:
+            continue
+        pair = f"{geometry.geom_label(model, a)} and {geometry.geom_label(model, b)}"
+        bodies = [model.body(model.geom_bodyid[g]).name for g in (a, b)]
+        how = (
+            "overlap in every configuration" if min(found) > 0 else
+            f"are never further apart than {max(0.0, -1e3 * min(found)):.1f} mm, and no motion "
+            "keeps a margin"
+        )  # fmt: skip
+        yield Finding(
+            WRONG,
+            f"{pair} {how}: add <exclude body1='{bodies[0]}' body2='{bodies[1]}'/>, or make one "
+            "of them smaller",
+        )
