@@ -11,7 +11,7 @@ import numpy as np
 from hybrid_jax.artifacts import write_text
 from hybrid_jax.planner.records import PlanResult
 from hybrid_jax.skills.task import Task
-from hybrid_jax.types import Workcell
+from hybrid_jax.types import Trajectory, Workcell
 
 FORMAT = "hybrid_jax.trajectory/1"
 """Name and version of the JSON format."""
@@ -28,6 +28,23 @@ def _runs(sources: np.ndarray) -> list[dict]:
     return [
         {"source": SOURCES[int(sources[a])], "first": int(a), "last": int(b)}
         for a, b in zip(starts, ends, strict=True)
+    ]
+
+
+def _points(trajectory: Trajectory, begin: float) -> list[dict]:
+    """The points of a phase that begins at a time [s]."""
+    rows = zip(
+        trajectory.times, trajectory.positions, trajectory.velocities, trajectory.accelerations,
+        strict=True,
+    )  # fmt: skip
+    return [
+        {
+            "positions": [round(float(x), 6) for x in q],
+            "velocities": [round(float(x), 6) for x in v],
+            "accelerations": [round(float(x), 6) for x in a],
+            "time_from_start": round(begin + float(t), 6),
+        }
+        for t, q, v, a in rows
     ]
 
 
@@ -61,23 +78,9 @@ def to_joint_trajectory(cell: Workcell, task: Task, plan: PlanResult) -> dict:
             out["gripper"].append({"time_from_start": round(begin, 4), "command": command})
             begin += GRIPPER_PAUSE if phase else 0.0
         # without a pause the last point of a phase is the first of the next
-        new = slice(int(phase > 0 and not grips), None)
-        for t, q, v, a in zip(
-            trajectory.times[new],
-            trajectory.positions[new],
-            trajectory.velocities[new],
-            trajectory.accelerations[new],
-            strict=True,
-        ):
-            out["points"].append(
-                {
-                    "positions": [round(float(x), 6) for x in q],
-                    "velocities": [round(float(x), 6) for x in v],
-                    "accelerations": [round(float(x), 6) for x in a],
-                    "time_from_start": round(begin + float(t), 6),
-                }
-            )
-        sources.append(trajectory.sources[new])
+        first = int(phase > 0 and not grips)
+        out["points"] += _points(trajectory, begin)[first:]
+        sources.append(trajectory.sources[first:])
         begin += float(trajectory.times[-1])
     if sources:
         out["parts"] = _runs(np.concatenate(sources))
