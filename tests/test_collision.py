@@ -139,7 +139,7 @@ def test_a_large_batch_is_as_exact_as_every_pair(cell):
 def test_an_accelerators_passes_give_the_same(cell, monkeypatch):
     """Its sizes of batches, tried on this device, against every pair of every configuration."""
     low, high = np.asarray(cell.joint_limits).T
-    q = jnp.asarray(np.random.default_rng(5).uniform(low, high, (2200, len(low))), jnp.float32)
+    q = jnp.asarray(np.random.default_rng(5).uniform(low, high, (4300, len(low))), jnp.float32)
     wide = jax.tree.map(lambda a: jnp.asarray(a)[None], cell)
     whole = np.asarray(collision._kernel(wide, q, parts="all", measured=None).distance)
     asked = []
