@@ -344,7 +344,10 @@ def test_a_key_pose_on_the_way_must_be_passed(cell, planned):
     task, plan = planned
     engine = checking.Engine(cell)
     path, lifted = plan.phases[1].positions, checking.pose_row(task.key_poses[2])
-    beside, turned = lifted + [0, 0, 0.5, 0, 0, 0, 0], lifted.copy()  # out of any way
+    tools = np.array([engine.position(q) for q in checking.checked_points(path, 0.02)])
+    sides = lifted + 0.05 * np.vstack([np.eye(3, 7), -np.eye(3, 7)])
+    away = [np.linalg.norm(tools - side[:3], axis=1).min() for side in sides]
+    beside, turned = sides[np.argmax(away)], lifted.copy()  # the path passes one of them
     turned[3:] = dq.mul(dq.from_parts(np.zeros(3), lifted[3:]),
                         dq.from_parts(np.zeros(3), np.array([0.98, 0, 0, 0.199])))[:4]  # fmt: skip
     poses = {"it": lifted, "one beside": beside, "one turned": turned}
