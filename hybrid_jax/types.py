@@ -154,13 +154,18 @@ class Workcell:
         return self.source.joint_names
 
     @property
+    def joint_units(self) -> tuple[str, ...]:
+        """Unit of each joint's value: rad of a hinge, m of a slide."""
+        return self.source.layout.joint_units
+
+    @property
     def joint_limits(self) -> Array:
-        """`[joint, 2]` lower and upper limit [rad]."""
+        """`[joint, 2]` lower and upper limit [rad or m]."""
         return self.chain.limits
 
     @property
     def velocity_limits(self) -> Array:
-        """`[joint]` [rad/s]."""
+        """`[joint]` [rad/s or m/s]."""
         return self.chain.velocity_limits
 
 
@@ -245,10 +250,10 @@ class Trajectory:
     times: np.ndarray
     """`[point]` from the start of the phase [s]."""
     positions: np.ndarray
-    """`[point, joint]` [rad]."""
+    """`[point, joint]` [rad or m]."""
     velocities: np.ndarray
-    """`[point, joint]` [rad/s]."""
+    """`[point, joint]` [rad/s or m/s]."""
     accelerations: np.ndarray
-    """`[point, joint]` [rad/s^2]."""
+    """`[point, joint]` [rad/s^2 or m/s^2]; zero at both ends."""
     sources: np.ndarray
     """`[point]` `Source` of each point."""

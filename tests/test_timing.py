@@ -40,7 +40,10 @@ def test_speeds_are_those_of_toppra(seed):
     ]
     wanted = toppra.algorithm.TOPPRA(limits, path, gridpoints=grid).compute_parameterization(0, 0)
     padded = np.concatenate([grid, grid[-1:].repeat(8)])
-    rows = path(padded, 1), path(padded, 2), np.diff(padded, append=padded[-1]), speed, rate
+    rows = (
+        path(padded, 1), path(padded, 2), np.diff(padded, append=padded[-1]),
+        np.tile(speed, (len(padded), 1)), np.tile(rate, (len(padded), 1)), np.full(len(padded), 1e9),
+    )  # fmt: skip
     found = np.asarray(jax.jit(fastest_speeds)(*(a.astype(np.float32) for a in rows)), float)
     assert found.shape == padded.shape and (found[POINTS - 1 :] == 0).all(), "ends at rest"
     found = found[:POINTS]
@@ -80,7 +83,7 @@ def jerk_of(motion) -> float:
     return float(np.abs(np.diff(q, 3, axis=0)).max() / (motion.times[1] - motion.times[0]) ** 3)
 
 
-@pytest.mark.parametrize("jerk", [10.0, 30.0])
+@pytest.mark.parametrize("jerk", [10.0, 15.0])
 def test_a_limit_of_the_jerk_is_kept_at_little_cost(cell, jerk):
     home = np.asarray(cell.home, float)
     share = np.linspace(0, 1, 80)[:, None]

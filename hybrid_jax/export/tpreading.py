@@ -12,7 +12,7 @@ _SECTIONS = ("/PROG", "/ATTR", "/MN", "/POS", "/END")
 _LINE = re.compile(r"\s*(\d+):\s*(.*?)\s*;")
 _MOVE = re.compile(r"J P\[(\d+)\] (\d+)(%|msec|sec) (FINE|CNT(\d+))")
 _POSITION = re.compile(r"P\[(\d+)\]\{(.*?)\};", re.DOTALL)
-_JOINT = re.compile(r"J(\d+)=\s*(-?\d+\.\d+) deg")
+_AXIS = re.compile(r"([JE]\d+)=\s*(-?\d+\.\d+) (deg|mm)")
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,9 @@ class TpProgram:
     name: str
     moves: tuple[TpMove, ...]
     positions: np.ndarray
-    """`[position, joint]` as the controller counts its joints [degree]."""
+    """`[position, axis]` as the controller counts its joints [degree or mm]."""
+    axes: tuple[tuple[str, str], ...]
+    """Name and unit of each axis: J1, J2 ... then, where there are any, E1, E2 ... [deg or mm]."""
     others: tuple[str, ...]
     """All other instructions, in order."""
 
@@ -65,11 +67,11 @@ def read_tp_program(text: str) -> TpProgram:
         else:
             others.append(found[2])
     _check_count(parts["/ATTR"], len(lines))
-    positions = _positions(parts["/POS"])
+    positions, axes = _positions(parts["/POS"])
     for move in moves:
         if not 1 <= move.position <= len(positions):
             raise InputError(f"TP program: a move leads to P[{move.position}], which is missing")
-    return TpProgram(parts["/PROG"].strip(), tuple(moves), positions, tuple(others))
+    return TpProgram(parts["/PROG"].strip(), tuple(moves), positions, axes, tuple(others))
 
 
 def _sections(text: str) -> dict[str, str]:
@@ -95,14 +97,25 @@ def _check_count(attributes: str, lines: int) -> None:
         raise InputError(f"TP program: LINE_COUNT says otherwise than the {lines} lines of /MN")
 
 
-def _positions(text: str) -> np.ndarray:
-    rows = []
+def _positions(text: str) -> tuple[np.ndarray, tuple[tuple[str, str], ...]]:
+    """Values `[position, axis]`, and name and unit of each axis."""
+    rows, axes = [], None
     for number, found in enumerate(_POSITION.finditer(text), 1):
-        joints = _JOINT.findall(found[2])
-        counted = [int(joint) for joint, _ in joints]
-        if int(found[1]) != number or counted != list(range(1, len(joints) + 1)):
-            raise InputError(f"TP program: position {number} is P[{found[1]}] with {joints}")
-        rows.append([float(angle) for _, angle in joints])
-    if not rows or len({len(row) for row in rows}) > 1:
-        raise InputError("TP program: positions are missing or have different numbers of joints")
-    return np.array(rows)
+        values = _AXIS.findall(found[2])
+        here = tuple((name, unit) for name, _, unit in values)
+        if int(found[1]) != number or not _counted(here) or here != (axes or here):
+            raise InputError(f"TP program: position {number} is P[{found[1]}] with {values}")
+        axes = here
+        rows.append([float(value) for _, value, _ in values])
+    if not axes:
+        raise InputError("TP program: positions are missing")
+    return np.array(rows), axes
+
+
+def _counted(axes: tuple[tuple[str, str], ...]) -> bool:
+    """Are they J1, J2 ..., then E1, E2 ..., without a gap?"""
+    names = [name for name, _ in axes]
+    joints = [name for name in names if name[0] == "J"]
+    extended = names[len(joints) :]
+    wanted = [f"J{i + 1}" for i in range(len(joints))] + [f"E{i + 1}" for i in range(len(extended))]
+    return bool(names) and names == wanted

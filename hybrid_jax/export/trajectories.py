@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Trajectories in the layout of ROS's JointTrajectory, as JSON or CSV."""
+"""Trajectories in the layout of ROS's JointTrajectory, as JSON or CSV.
+
+What happens at a point is said by the point's number. Numbers keep nine digits: a controller that
+interpolates by a quintic makes accelerations of the last ones.
+"""
 
 import csv
 import io
@@ -10,15 +14,16 @@ import numpy as np
 
 from hybrid_jax.artifacts import write_text
 from hybrid_jax.planner.records import PlanResult
+from hybrid_jax.planner.timeline import timeline
 from hybrid_jax.skills.task import Task
 from hybrid_jax.types import Trajectory, Workcell
 
-FORMAT = "hybrid_jax.trajectory/1"
+FORMAT = "hybrid_jax.trajectory/2"
 """Name and version of the JSON format."""
 SOURCES = ("LfD", "DRL", "RRT")
 """Names of the sources of a point, in the order of `Trajectory.sources`."""
-GRIPPER_PAUSE = 0.8
-"""Time between two phases in which the gripper moves [s]."""
+DIGITS = 9
+"""After the point."""
 
 
 def _runs(sources: np.ndarray) -> list[dict]:
@@ -39,20 +44,25 @@ def _points(trajectory: Trajectory, begin: float) -> list[dict]:
     )  # fmt: skip
     return [
         {
-            "positions": [round(float(x), 6) for x in q],
-            "velocities": [round(float(x), 6) for x in v],
-            "accelerations": [round(float(x), 6) for x in a],
-            "time_from_start": round(begin + float(t), 6),
+            "positions": _rounded(q),
+            "velocities": _rounded(v),
+            "accelerations": _rounded(a),
+            "time_from_start": round(begin + float(t), DIGITS),
         }
         for t, q, v, a in rows
     ]
 
 
+def _rounded(values: np.ndarray) -> list[float]:
+    return [round(float(x), DIGITS) for x in values]
+
+
 def to_joint_trajectory(cell: Workcell, task: Task, plan: PlanResult) -> dict:
-    """A plan as a dictionary: `joint_names`, `points`, `status`, `parts`, `gripper`.
+    """A plan as a dictionary, see `docs/file_formats.md`.
 
     The points of all phases stand in one list; where the gripper acts, time passes at rest. Where
-    nothing is carried the list `gripper` is empty. Angles are in rad, times in s.
+    nothing is carried the list `gripper` is empty. Times are in s, joints in what `joint_units`
+    says of each.
 
     Args:
         cell: that the plan was made in.
@@ -62,31 +72,49 @@ def to_joint_trajectory(cell: Workcell, task: Task, plan: PlanResult) -> dict:
     out = {
         "format": FORMAT,
         "joint_names": list(cell.joint_names),
+        "joint_units": list(cell.joint_units),
         "points": [],
         "status": plan.status.name,
         "detail": plan.detail,
         "skills": plan.skills,
         "parts": [],
+        "phases": [],
         "gripper": [],
     }
-    begin, grips = 0.0, any(task.carrying)
-    sources = []
-    for phase, trajectory in enumerate(plan.phases):
-        closed = bool(task.carrying[task.phases[phase][0]])
-        if grips:
-            command = "close" if closed else "open"
-            out["gripper"].append({"time_from_start": round(begin, 4), "command": command})
-            begin += GRIPPER_PAUSE if phase else 0.0
+    sources, slots = [], timeline(task, plan.phases) if plan.phases else []
+    for trajectory, slot in zip(plan.phases, slots, strict=True):
         # without a pause the last point of a phase is the first of the next
-        first = int(phase > 0 and not grips)
-        out["points"] += _points(trajectory, begin)[first:]
-        sources.append(trajectory.sources[first:])
-        begin += float(trajectory.times[-1])
+        shared = int(bool(out["points"]) and not slot.command)
+        if slot.command:
+            _say(out, slot.command)
+        first = len(out["points"]) - shared
+        out["points"] += _points(trajectory, slot.begin)[shared:]
+        out["phases"].append({"first": first, "last": len(out["points"]) - 1})
+        sources.append(trajectory.sources[shared:])
     if sources:
         out["parts"] = _runs(np.concatenate(sources))
-        if grips:
-            out["gripper"].append({"time_from_start": round(begin, 4), "command": "open"})
+        if slots[-1].command:
+            _say(out, "open")
     return out
+
+
+def _say(out: dict, command: str) -> None:
+    """Tell the gripper something at the last point so far, which the arm rests in."""
+    point = max(0, len(out["points"]) - 1)
+    time = out["points"][point]["time_from_start"] if out["points"] else 0.0
+    out["gripper"].append({"point": point, "time_from_start": time, "command": command})
+
+
+def gripper_states(trajectory: dict) -> list[str]:
+    """What the gripper was last told at each point: open, close, or nothing.
+
+    Args:
+        trajectory: see `to_joint_trajectory`.
+    """
+    states = [""] * len(trajectory["points"])
+    for event in trajectory["gripper"]:
+        states[event["point"] :] = [event["command"]] * (len(states) - event["point"])
+    return states
 
 
 def to_csv(trajectory: dict) -> str:
@@ -96,8 +124,9 @@ def to_csv(trajectory: dict) -> str:
         trajectory: see `to_joint_trajectory`.
 
     Returns:
-        Columns `time_from_start` [s], `source`, `gripper` (open, close, or nothing), then position,
-        velocity and acceleration of each joint [rad, rad/s, rad/s^2].
+        Columns `time_from_start` [s], `source`, `gripper` (what it was told last, at this point or
+        before: open, close, or nothing), then position, velocity and acceleration of each joint
+        (rad or m, by the second and its square).
     """
     names, out = trajectory["joint_names"], io.StringIO()
     rows = csv.writer(out, lineterminator="\n")
@@ -108,11 +137,10 @@ def to_csv(trajectory: dict) -> str:
         for part in trajectory["parts"]
         for _ in range(part["first"], part["last"] + 1)
     ]
-    for point, source in zip(trajectory["points"], sources, strict=True):
-        began = [g["command"] for g in trajectory["gripper"]
-                 if g["time_from_start"] <= point["time_from_start"] + 1e-6]  # fmt: skip
+    states = gripper_states(trajectory)
+    for point, source, state in zip(trajectory["points"], sources, states, strict=True):
         values = point["positions"] + point["velocities"] + point["accelerations"]
-        rows.writerow([point["time_from_start"], source, began[-1] if began else "", *values])
+        rows.writerow([point["time_from_start"], source, state, *values])
     return out.getvalue()
 
 

@@ -27,11 +27,11 @@ def _lines(slope: Array, bend: Array, step: Array, rate: Array) -> tuple[Array, 
     ahead, curve = jnp.roll(slope, -1, axis=0), jnp.roll(bend, -1, axis=0)
     a = jnp.concatenate([slope, ahead + reach * curve], axis=1)
     b = jnp.concatenate([bend, curve], axis=1)
-    c = jnp.broadcast_to(jnp.concatenate([rate, rate]), a.shape)
+    c = jnp.concatenate([rate, jnp.roll(rate, -1, axis=0)], axis=1)
     return jnp.abs(a), jnp.where(a < 0, -b, b), c
 
 
-def _still_bounds(slope: Array, step: Array, lines, speed: Array) -> Array:
+def _still_bounds(slope: Array, step: Array, lines, speed: Array, cap: Array) -> Array:
     """Largest squared speed `[point]` that the limits of the point itself allow."""
     a, b, c = lines
     pairs = _ratio(
@@ -39,6 +39,7 @@ def _still_bounds(slope: Array, step: Array, lines, speed: Array) -> Array:
         a[:, None] * b[:, :, None] - a[:, :, None] * b[:, None],
     )
     bound = jnp.minimum(jnp.min(pairs, axis=(1, 2)), jnp.min((speed / jnp.abs(slope)) ** 2, axis=1))
+    bound = jnp.minimum(bound, cap**2)
     # the speed at the next point must not be negative
     reach = 2 * step[:, None]
     return jnp.minimum(bound, jnp.min(_ratio(reach * c, reach * b - a), axis=1))
@@ -48,18 +49,21 @@ def fastest_speeds(
     slope: Float[Array, "point n"],
     bend: Float[Array, "point n"],
     step: Float[Array, "point"],
-    speed: Float[Array, "n"],
-    rate: Float[Array, "n"],
+    speed: Float[Array, "point n"],
+    rate: Float[Array, "point n"],
+    cap: Float[Array, "point"],
 ) -> Float[Array, "point"]:
     """Squared speed along a path at each of its points, from rest to rest.
 
     Args:
         slope, bend: first and second derivative of the joints along the path.
         step: to the next point; zero at the last one and at those that only fill the array.
-        speed, rate: velocity and acceleration limits [rad/s], [rad/s^2].
+        speed, rate: velocity and acceleration limits of the joints at each point [rad/s],
+            [rad/s^2].
+        cap: largest speed along the path at each point.
     """
     a, b, c = lines = _lines(slope, bend, step, rate)
-    bound = _still_bounds(slope, step, lines, speed)
+    bound = _still_bounds(slope, step, lines, speed, cap)
     last = step <= 0
 
     def retreat(after, row):

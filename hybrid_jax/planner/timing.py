@@ -7,27 +7,42 @@ from dataclasses import dataclass
 import jax
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import maximum_filter1d
 
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.batching import padded_chunks
 from hybrid_jax.kernels.kinematics import tool_pose
 from hybrid_jax.kernels.pathspeed import fastest_speeds
+from hybrid_jax.planner.speedprofile import SpeedProfile, rounded, sample_speeds
 from hybrid_jax.types import Trajectory, Workcell
 
-BENDS = 2.0
-"""Between two points of a path one of which bends so many times as much as most do, TOPP-RA's grid
-has a point in the middle."""
-LEAST_GRID = 256
+LEAST_GRID = 512
 """Points of the smallest grid; twice as many, and so on, where a path has more: few traces."""
+BETWEEN = 2
+"""Steps of the grid from one point of a path to the next, at least."""
 TOGETHER = 4
 """Paths that are timed in one call."""
+FINEST = 0.01
+"""Motions are made of points at most so far apart, and thinned out then [s]."""
+EVEN = 1e-4
+"""Most by which even motion of the joints between two points leaves a motion, at the tool [m]."""
+WHOLE = 1e-3
+"""Motions last whole multiples of this [s]: programs of moves in milliseconds keep their times."""
+RAMP = 0.04
+"""Time over which the speed along a path is averaged [s]: accelerations do not jump."""
+WIDER = 0.08, 0.16, 0.32
+"""The same, further ones where the jerk is limited: the one that gives the shortest motion is
+used."""
+ROUNDS = 4
+"""Times that a motion is slowed where it exceeds a limit; what is left slows the whole of it."""
+LEFT = 1.003
+"""An excess that is not worth another round."""
 
-ROUNDINGS = 0.0, 0.02, 0.04, 0.08, 0.16, 0.32
-"""Times over which the speed along a path is averaged where the jerk is limited [s]: the one that
-gives the shortest motion is used."""
+_NO_CAP = 1e9
+"""A speed along a path that nothing reaches; its square is finite in single precision."""
 
 _tool_positions = jax.jit(jax.vmap(lambda cell, q: dq.position(tool_pose(cell, q)), (None, 0)))
-_speeds = jax.jit(jax.vmap(fastest_speeds, (0, 0, 0, None, None)))
+_speeds = jax.jit(jax.vmap(fastest_speeds))
 
 
 @dataclass(frozen=True)
@@ -39,62 +54,142 @@ class TimingConfig:
     acceleration: float = 0.4
     """Share of the acceleration limits."""
     sample_time: float = 0.01
-    """Spacing of the returned points [s]."""
+    """Spacing of the returned points, at most [s]. There are no fewer than the path has, and so
+    many that a controller which moves the joints evenly from one to the next keeps the tool within
+    `EVEN` of the motion."""
     jerk: float | None = None
-    """Largest jerk of a joint [rad/s^3]; None leaves it free."""
+    """Largest jerk of a joint [rad/s^3 or m/s^3]; None leaves it free."""
+
+
+@dataclass(frozen=True)
+class _Limits:
+    """What a motion must keep."""
+
+    speed: np.ndarray
+    """`[joint]` [rad/s or m/s]."""
+    rate: np.ndarray
+    """`[joint]` [rad/s^2 or m/s^2]."""
+    jerk: float
+    tool_speed: float
+    """[m/s]."""
+    reach: np.ndarray
+    """`[joint]` most that the tool moves where the joint does by 1 [m/rad or 1]."""
 
 
 class _Path:
-    """A joint path as a spline, and the grid on which its limits are kept."""
+    """A joint path as a spline, the grid on which its speeds are found, and their limits there."""
 
-    def __init__(self, q: np.ndarray, sources: np.ndarray):
+    def __init__(self, q: np.ndarray, sources: np.ndarray, limits: _Limits):
         moved = np.concatenate([[True], np.abs(np.diff(q, axis=0)).max(axis=1) > 1e-6])
-        q, self.sources = q[moved].astype(float), sources[moved]
+        q, self.sources, self.limits = q[moved].astype(float), sources[moved], limits
         way = np.linalg.norm(np.diff(q, axis=0), axis=1)
         self.knots = np.concatenate([[0], np.cumsum(way)])
         self.usable = len(q) >= 3
         if self.usable:
             self.spline = CubicSpline(self.knots, q)
-            self.grid = _grid(self.knots, np.abs(self.spline(self.knots, 2)).max(axis=1))
+            steps = len(q) - 1
+            between = max(BETWEEN, (LEAST_GRID - 1) // steps)
+            places = np.arange(between * steps + 1) / between
+            self.grid = np.interp(places, np.arange(len(q)), self.knots)
+            self.caps = np.full(len(self.grid), np.inf)
+            """`[grid]` largest speed along the path."""
+            self.slower = np.ones(len(self.grid))
+            """`[grid]` what speeds are divided by."""
 
-    def rows(self, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Slope, bend `[size, joint]` and step `[size]` on the grid; its last point is repeated."""
-        grid = np.concatenate([self.grid, self.grid[-1:].repeat(size - len(self.grid))])
-        return self.spline(grid, 1), self.spline(grid, 2), np.diff(grid, append=grid[-1])
+    def filled(self, values: np.ndarray, size: int) -> np.ndarray:
+        """Values on the grid; the last one is repeated."""
+        return np.pad(values, (0, size - len(values)), mode="edge")
 
-    def sample(self, squared: np.ndarray, config: TimingConfig, limits) -> Trajectory | None:
+    def cap_tool_speed(self, cell: Workcell, size: int) -> None:
+        """Let the tool keep its limit everywhere on the grid."""
+        if np.isinf(self.limits.tool_speed):
+            return
+        q = self.spline(self.filled(self.grid, size)).astype(np.float32)
+        tool = np.asarray(_tool_positions(cell, q), float)[: len(self.grid)]
+        way = np.linalg.norm(np.diff(tool, axis=0), axis=1) / np.diff(self.grid)
+        steepest = np.maximum(np.append(way, way[-1]), np.append(way[0], way))
+        self.caps = self.limits.tool_speed / np.maximum(steepest, 1e-9)
+
+    def rows(self, size: int) -> tuple[np.ndarray, ...]:
+        """What `fastest_speeds` asks for, on the grid."""
+        grid, slower = self.filled(self.grid, size), self.filled(self.slower, size)
+        caps = np.minimum(self.filled(self.caps, size) / slower, _NO_CAP)
+        speed, rate = self.limits.speed / slower[:, None], self.limits.rate / slower[:, None] ** 2
+        slope, bend = self.spline(grid, 1), self.spline(grid, 2)
+        found = slope, bend, np.diff(grid, append=grid[-1]), speed, rate, caps
+        return tuple(a.astype(np.float32) for a in found)
+
+    def profile(self, squared: np.ndarray, width: float, period: float) -> SpeedProfile | None:
         """The motion with these squared speeds on the grid; None if it would stand still."""
         squared = squared[: len(self.grid)].astype(float)
         if (squared[1:-1] <= 0).any() or not np.isfinite(squared).all():
             return None
-        samples = _sample(self.grid, np.sqrt(squared), config.sample_time)
-        if config.jerk is None:
-            return self._within_limits(*samples, limits, np.inf)
-        rounded = (_rounded(*samples, width) for width in ROUNDINGS)
-        found = [self._within_limits(*one, limits, config.jerk) for one in rounded]
-        return min(found, key=lambda motion: motion.times[-1])
+        return rounded(sample_speeds(self.grid, np.sqrt(squared), period), width)
 
-    def _within_limits(self, times, s, speed_s, rate_s, limits, jerk: float) -> Trajectory:
-        """The motion at places on the path, the whole of it as much slower as the limits ask for.
+    def derivatives(self, place, speed, acceleration) -> tuple[np.ndarray, np.ndarray]:
+        """Velocities and accelerations `[sample, joint]` of a motion that passes places so fast."""
+        slope, bend = self.spline(place, 1), self.spline(place, 2)
+        return slope * speed[:, None], bend * speed[:, None] ** 2 + slope * acceleration[:, None]
 
-        They hold on the grid, but may be exceeded between its points.
-        """
-        slope, bend = self.spline(s, 1), self.spline(s, 2)
-        velocities = slope * speed_s[:, None]
-        accelerations = bend * speed_s[:, None] ** 2 + slope * rate_s[:, None]
-        rest = np.zeros((1, slope.shape[1]))  # before and after the motion
-        change = np.diff(np.concatenate([rest, accelerations, rest]), axis=0)
-        change = np.abs(change).max() / (times[1] - times[0])
-        speed, rate = limits
-        slower = max(
-            1.0, np.max(np.abs(velocities) / speed),
-            np.sqrt(np.max(np.abs(accelerations) / rate)), np.cbrt(change / jerk),
-        )  # fmt: skip
-        at = np.interp(s, self.knots, np.arange(len(self.knots)))
-        return Trajectory(
-            times * slower, self.spline(s), velocities / slower, accelerations / slower**2,
-            self.sources[np.round(at).astype(int)],
-        )  # fmt: skip
+    def _too_fast(self, place, speed, acceleration) -> np.ndarray:
+        velocities, accelerations = self.derivatives(place, speed, acceleration)
+        return np.max([
+            np.max(np.abs(velocities) / self.limits.speed, axis=1),
+            np.sqrt(np.max(np.abs(accelerations) / self.limits.rate, axis=1)),
+            speed / np.interp(place, self.grid, self.caps),
+        ], axis=0)  # fmt: skip
+
+    def excess(self, profile: SpeedProfile) -> np.ndarray:
+        """`[sample]` by how much a motion is too fast there or just before, as a factor on its
+        speed."""
+        found = self._too_fast(profile.place, profile.speed, profile.acceleration)
+        # a path may bend sharply between two samples
+        between = (np.interp(self.grid, profile.place, c)
+                   for c in (profile.speed, profile.acceleration))  # fmt: skip
+        after = np.searchsorted(profile.place, self.grid).clip(0, len(found) - 1)
+        np.maximum.at(found, after, self._too_fast(self.grid, *between))
+        return found
+
+    def slow_down(self, profile: SpeedProfile, width: float) -> bool:
+        """Lower the limits where a motion exceeds them; did it by much?"""
+        excess = self.excess(profile)
+        # the speed of a sample is the mean of those around it
+        samples = 2 * int(np.ceil(width / profile.period)) + 1
+        around = np.interp(self.grid, profile.place, maximum_filter1d(excess, samples))
+        self.slower *= np.maximum(1.0, around)
+        return bool(excess.max() > LEFT)
+
+    def kept(self, profile: SpeedProfile) -> SpeedProfile:
+        """The motion, the whole of it as much slower as the limits still ask for."""
+        accelerations = np.pad(self.derivatives(*profile.states)[1], ((1, 1), (0, 0)))
+        jerk = np.abs(np.diff(accelerations, axis=0)).max() / profile.period
+        asked = float(self.excess(profile).max()), float(np.cbrt(jerk / self.limits.jerk))
+        lasts = profile.times[-1] * max(1.0, *asked)
+        return profile.slowed(WHOLE * np.ceil(lasts / WHOLE - 1e-6) / profile.times[-1])
+
+    def trajectory(self, profile: SpeedProfile, sample_time: float) -> Trajectory:
+        """The motion as points in time, `TimingConfig.sample_time`."""
+        bends = np.abs(self.derivatives(*profile.states)[1]) @ self.limits.reach
+        sample_time = min(sample_time, np.sqrt(8 * EVEN / max(bends.max(), 1e-9)))
+        count = max(int(np.ceil(profile.times[-1] / sample_time - 1e-6)) + 1, len(self.knots))
+        profile = profile.resampled(count)
+        velocities, accelerations = self.derivatives(*profile.states)
+        velocities[[0, -1]] = accelerations[[0, -1]] = 0.0
+        positions = self.spline(profile.place)
+        positions[[0, -1]] = self.spline(self.knots[[0, -1]])
+        at = np.interp(profile.place, self.knots, np.arange(len(self.knots)))
+        marks = self.sources[np.round(at).astype(int)]
+        return Trajectory(profile.times, positions, velocities, accelerations, marks)
+
+
+def _reach(cell: Workcell) -> np.ndarray:
+    """`[joint]` bound of the way of the tool for a joint's: all offsets after it, stretched out."""
+    offsets = np.asarray(cell.chain.offset, float)[1:, :3], np.asarray(cell.chain.tool, float)[:3]
+    lengths = np.linalg.norm(np.vstack(offsets), axis=1)
+    slides, limits = np.asarray(cell.chain.hinge) == 0, np.asarray(cell.chain.limits, float)
+    # a slide lengthens the arm by its own way
+    lengths[:-1] += np.where(slides, np.abs(limits).max(axis=1), 0.0)[1:]
+    return np.where(slides, 1.0, np.cumsum(lengths[::-1])[::-1])
 
 
 def time_parameterize(
@@ -105,7 +200,8 @@ def time_parameterize(
 ) -> list[Trajectory | None]:
     """Fastest motions along paths under the velocity and acceleration limits.
 
-    Where the tool would exceed its own limit, the whole motion is as much slower.
+    They begin and end at rest, with accelerations of zero there and without jumps between: a
+    controller that interpolates the points gives back the motion.
 
     Args:
         cell: limits.
@@ -116,78 +212,68 @@ def time_parameterize(
 
     Returns:
         A trajectory for each path, None where it has fewer than three different points.
+
+    Raises:
+        InputError: a limit is so small that a motion would take days.
     """
-    limits = (
-        config.speed * np.asarray(cell.velocity_limits, float),
-        config.acceleration * np.asarray(cell.chain.acceleration_limits, float),
-    )
-    splines = [_Path(q, sources) for q, sources in paths]
+    speed = config.speed * np.asarray(cell.velocity_limits, float)
+    rate = config.acceleration * np.asarray(cell.chain.acceleration_limits, float)
+    most, reach = tool_speeds or [np.inf] * len(paths), _reach(cell)
+    jerk = np.inf if config.jerk is None else config.jerk
+    splines = [
+        _Path(q, sources, _Limits(speed, rate, jerk, fastest, reach))
+        for (q, sources), fastest in zip(paths, most, strict=True)
+    ]
     rows = [i for i, path in enumerate(splines) if path.usable]
     found: list[Trajectory | None] = [None] * len(paths)
     for index, count in padded_chunks(len(rows), TOGETHER):
-        some = [splines[rows[i]] for i in index]
-        size = LEAST_GRID
-        while size < max(len(path.grid) for path in some):
-            size *= 2
-        block = [np.stack(a) for a in zip(*(path.rows(size) for path in some), strict=True)]
-        squared = np.asarray(_speeds(*(a.astype(np.float32) for a in (*block, *limits))))
-        for i, path, one in zip(index[:count], some[:count], squared[:count], strict=True):
-            most = tool_speeds[rows[i]] if tool_speeds else np.inf
-            slower = _share_of_speed(cell, path, one, most)
-            found[rows[i]] = path.sample(slower**2 * one, config, limits)
+        motions = _time_together(cell, [splines[rows[i]] for i in index], config)
+        for i, motion in zip(index[:count], motions[:count], strict=True):
+            found[rows[i]] = motion
     return found
 
 
-def _share_of_speed(cell: Workcell, path: _Path, squared: np.ndarray, most: float) -> float:
-    """How much of its speed a motion may keep so that the tool stays below a limit [m/s]."""
-    if np.isinf(most):
-        return 1.0
-    size, count = len(squared), len(path.grid)
-    grid = np.concatenate([path.grid, path.grid[-1:].repeat(size - count)])
-    tool = np.asarray(_tool_positions(cell, path.spline(grid).astype(np.float32)))[:count]
-    speed = np.sqrt(np.maximum(squared[:count], 0.0))
-    way = np.linalg.norm(np.diff(tool, axis=0), axis=1) / np.diff(path.grid)
-    return min(1.0, most / max(1e-9, float(np.max(way * np.maximum(speed[1:], speed[:-1])))))
+def _time_together(
+    cell: Workcell, paths: list[_Path], config: TimingConfig
+) -> list[Trajectory | None]:
+    """Motions along paths that fill one call of the kernel; a path may stand there repeatedly."""
+    size = LEAST_GRID
+    while size < max(len(path.grid) for path in paths):
+        size *= 2
+    own = {id(path): path for path in paths}
+    for path in own.values():
+        path.cap_tool_speed(cell, size)
+    found = {}
+    for width in (RAMP,) if config.jerk is None else (RAMP, *WIDER):
+        for name, profile in _profiles(paths, size, width, min(FINEST, config.sample_time)).items():
+            kept = own[name].kept(profile)
+            if name not in found or kept.times[-1] < found[name].times[-1]:
+                found[name] = kept
+    return [
+        path.trajectory(found[id(path)], config.sample_time) if id(path) in found else None
+        for path in paths
+    ]
 
 
-def _grid(knots: np.ndarray, bend: np.ndarray) -> np.ndarray:
-    """Points on the path at which the limits are kept: a cubic spline bends most at its knots."""
-    sharp = bend > BENDS * np.median(bend)
-    middle = (knots[1:] + knots[:-1]) / 2
-    return np.sort(np.concatenate([knots, middle[sharp[1:] | sharp[:-1]]]))
+def _profiles(
+    paths: list[_Path], size: int, width: float, period: float
+) -> dict[int, SpeedProfile]:
+    """Motions of paths by their `id`; where limits are exceeded they are slowed, there alone.
 
-
-def _sample(
-    grid: np.ndarray, speed: np.ndarray, period: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Times, places on the path, their speeds and accelerations, evenly spaced in time.
-
-    Between two points of the grid the acceleration along the path is constant.
+    The limits hold on the grid, but may be exceeded between its points and by the averaging.
     """
-    step = np.diff(grid)
-    rate = (speed[1:] ** 2 - speed[:-1] ** 2) / (2 * step)
-    lasts = 2 * step / np.maximum(speed[1:] + speed[:-1], 1e-9)
-    ends = np.concatenate([[0.0], np.cumsum(lasts)])
-    times = np.linspace(0.0, ends[-1], max(2, int(np.ceil(ends[-1] / period)) + 1))
-    part = np.clip(np.searchsorted(ends, times, side="right") - 1, 0, len(step) - 1)
-    since = times - ends[part]
-    places = grid[part] + speed[part] * since + rate[part] * since**2 / 2
-    return times, np.clip(places, grid[0], grid[-1]), speed[part] + rate[part] * since, rate[part]
-
-
-def _rounded(times, places, speed, rate, width: float):
-    """The same samples with the speed along the path averaged over a time; it lasts as much longer.
-
-    What was a jump of the acceleration becomes a ramp.
-    """
-    period = times[1] - times[0]
-    count = int(round(width / period))
-    if count < 2:
-        return times, places, speed, rate
-    mean = np.convolve(speed, np.full(count, 1 / count))
-    way = np.concatenate([[0.0], np.cumsum((mean[1:] + mean[:-1]) / 2 * period)])
-    stretch = (places[-1] - places[0]) / way[-1]
-    mean *= stretch
-    return (
-        period * np.arange(len(mean)), places[0] + way * stretch, mean, np.gradient(mean, period)
-    )
+    going, found = {id(path): path for path in paths}, {}
+    for path in going.values():
+        path.slower[:] = 1.0
+    for _ in range(ROUNDS):
+        block = [np.stack(a) for a in zip(*(path.rows(size) for path in paths), strict=True)]
+        squared = dict(zip(map(id, paths), np.asarray(_speeds(*block)), strict=True))
+        for name, path in list(going.items()):
+            profile = path.profile(squared[name], width, period)
+            if profile is not None:
+                found[name] = profile
+            if profile is None or not path.slow_down(profile, width):
+                del going[name]
+        if not going:
+            break
+    return found

@@ -7,12 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hybrid_jax.export.trajectories import GRIPPER_PAUSE
 from hybrid_jax.kernels.collision import clearance
 from hybrid_jax.kernels.kinematics import tool_pose
 from hybrid_jax.planner.checking import PhaseScene
 from hybrid_jax.planner.records import PlanResult
 from hybrid_jax.planner.scenes import in_scene, phase_scene, segment_kinds
+from hybrid_jax.planner.timeline import timeline
 from hybrid_jax.skills.task import Task, as_rows
 from hybrid_jax.types import Trajectory, Workcell
 from hybrid_jax.workcell.geometry import as_row, pose_of
@@ -74,11 +74,11 @@ def motion_of(cell: Workcell, task: Task, plan: PlanResult) -> Motion:
         task: that was planned.
         plan: with status OK.
     """
-    kinds, begin, parts = segment_kinds(task), 0.0, []
-    for number, ((low, _), phase) in enumerate(zip(task.phases, plan.phases, strict=True)):
-        begin += GRIPPER_PAUSE * bool(number and any(task.carrying))
-        parts.append(_phase_frames(cell, phase_scene(cell, task, int(kinds[low])), phase, begin))
-        begin += float(phase.times[-1])
+    kinds, parts = segment_kinds(task), []
+    slots = timeline(task, plan.phases)
+    for (low, _), phase, slot in zip(task.phases, plan.phases, slots, strict=True):
+        scene = phase_scene(cell, task, int(kinds[low]))
+        parts.append(_phase_frames(cell, scene, phase, slot.begin))
     columns = zip(*parts, strict=True)
     return Motion(*(np.concatenate(column) for column in columns))
 

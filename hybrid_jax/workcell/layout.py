@@ -9,7 +9,8 @@ import numpy as np
 from hybrid_jax.errors import UnknownNameError, WorkcellError
 from hybrid_jax.workcell.description import TaskData
 
-_MOTION = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+_HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
+_MOTION = (_HINGE, int(mujoco.mjtJoint.mjJNT_SLIDE))
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 _ON_JOINT = int(mujoco.mjtTrn.mjTRN_JOINT)
 TOOL_NAMES = ("tool", "tcp", "tool0", "grasp_site", "pinch", "attachment_site")
@@ -20,6 +21,8 @@ class Layout:
     """Indices into an `MjModel`; all tuples."""
 
     joint_names: tuple[str, ...]
+    joint_units: tuple[str, ...]
+    """Unit of each arm joint's value: rad of a hinge, m of a slide."""
     joints: tuple[int, ...]
     """Joints of the arm, from the base to the tool."""
     qpos: tuple[int, ...]
@@ -134,6 +137,7 @@ def find_layout(model: mujoco.MjModel, task: TaskData | None) -> Layout:
     gripper = task.gripper if task else None
     return Layout(
         joint_names=tuple(_name(model, mujoco.mjtObj.mjOBJ_JOINT, j) for j in joints),
+        joint_units=tuple("rad" if model.jnt_type[j] == _HINGE else "m" for j in joints),
         joints=joints,
         qpos=tuple(int(model.jnt_qposadr[j]) for j in joints),
         dofs=tuple(int(model.jnt_dofadr[j]) for j in joints),
