@@ -23,7 +23,7 @@ from hybrid_jax.kernels.batching import CPU_CHUNK, by_backend
 from hybrid_jax.kernels.kinematics import tool_pose
 from hybrid_jax.kernels.rays import sense
 from hybrid_jax.quiet import import_mjx
-from hybrid_jax.workcell.contacts import may_collide
+from hybrid_jax.workcell.contacts import forbidden_contacts
 from hybrid_jax.workcell.load import load_workcell
 
 CELL = "gen3_handling"
@@ -100,12 +100,12 @@ def crossed(engine, q) -> bool:
     """Does a capsule of the robot run right through a box that it must not touch?"""
     model, data = engine.model, engine.data
     engine.place(q)
-    moved = np.array([model.body_weldid[b] != 0 for b in model.geom_bodyid])
+    forbidden = forbidden_contacts(model, engine.layout)
     return any(
         axis_crosses(model, data, a, b)
-        for a in np.flatnonzero(moved)
-        for b in range(model.ngeom)
-        if may_collide(model, a, b)
+        for a in range(model.ngeom)
+        for b in range(a + 1, model.ngeom)
+        if forbidden[a, b]
     )
 
 

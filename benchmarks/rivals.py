@@ -40,7 +40,7 @@ class Engine:
     def __init__(self, cell: Workcell):
         self.model = welded_model(cell.source.name)
         self.data = mujoco.MjData(self.model)
-        layout = cell.source.layout
+        self.layout = layout = cell.source.layout
         home = home_qpos(cell.model)
         names = [self.model.joint(j).name for j in range(self.model.njnt)]
         for name in names:

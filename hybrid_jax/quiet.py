@@ -11,6 +11,9 @@ import mujoco
 
 _HARMLESS = re.compile("Attaching a spec with an empty prefix")
 
+_said: set[tuple[str, str]] = set()
+"""Names of models and warnings: each is printed once, however often a model is read."""
+
 
 def import_mjx() -> None:
     """Import `mujoco.mjx` (and what brax takes of it) without its two lines about warp."""
@@ -29,5 +32,6 @@ def engine_messages(name: str) -> Iterator[None]:
     finally:
         mujoco.set_mju_user_warning(None)
         for text in heard:
-            if not _HARMLESS.match(text):
+            if not _HARMLESS.match(text) and (name, text) not in _said:
+                _said.add((name, text))
                 print(f"MuJoCo on {name}: {text}", file=sys.stderr)

@@ -172,10 +172,14 @@ class Workcell:
 class WorkcellSource:
     """Host-side half of a cell. Two loads of one file are equal, so they share compiled code."""
 
-    def __init__(self, *, name, digest, model, layout, task, owners, fixture_bodies, path=None):
+    def __init__(
+        self, *, name, digest, model, layout, task, owners, fixture_bodies, path=None, tool=""
+    ):
         self.name: str = name
         self.path: Path | None = path
         """File that the model was read from; None where it came from elsewhere."""
+        self.tool: str = tool
+        """Site or link that whoever loaded the cell named as the tool; mostly empty."""
         self.digest: str = digest
         """Hash of everything the model was compiled from: it identifies the cell in files."""
         self.model: mujoco.MjModel = model

@@ -47,6 +47,33 @@ def test_boxes_of_a_cylinder_contain_it_and_little_more(radius):
     assert excess <= max(1e-3, 0.0087 * radius)
 
 
+@pytest.mark.parametrize("half", [(0.1, 0.05, 0.05), (0.03, 0.08, 0.05), (0.04, 0.04, 0.04)])
+def test_the_solid_around_an_ellipsoid_contains_it_and_little_more(half):
+    ((_, box, radius),) = approximation.ellipsoid(np.array(half))
+    surface = np.random.default_rng(0).normal(size=(5000, 3))
+    surface = half * surface / np.linalg.norm(surface, axis=1, keepdims=True)
+    outside = np.maximum(np.abs(surface) - box, 0)
+    assert (np.linalg.norm(outside, axis=1) <= radius + 1e-9).all()
+    # a point of the solid is this far from the ellipsoid, by brute force over its surface
+    corner = np.array(box) + radius * np.array([1, 1, 1]) / np.sqrt(3)
+    away = np.linalg.norm(surface - corner, axis=1).min()
+    assert away <= approximation.ellipsoid_excess(np.array(half)) + 2e-3
+    assert approximation.ellipsoid_excess(np.array(half)) < 0.2 * max(half)
+
+
+def test_clearance_of_an_ellipsoid_is_that_of_the_solid_around_it(tmp_path):
+    cell = arm_cell(tmp_path, '<geom type="ellipsoid" size=".1 .05 .05" pos=".2 .4 .5"/>')
+    model, data = cell.model, mujoco.MjData(cell.model)
+    excess = approximation.ellipsoid_excess(np.array([0.1, 0.05, 0.05]))
+    for q in np.random.default_rng(1).uniform([-3, -2, -2.5], [3, 2, 2.5], (40, 3)):
+        data.qpos[:] = q
+        mujoco.mj_forward(model, data)
+        gaps = [mujoco.mj_geomDistance(model, data, 0, g, 5.0, None) for g in (1, 2)]
+        ours = float(clearance(cell, jnp.asarray(q, jnp.float32)))
+        if min(gaps) > 0:
+            assert min(gaps) - excess - 1e-3 < ours < min(gaps) + 1e-3
+
+
 def wedge(count=12):
     """A tapered prism: no primitive, but slabs of it are nearly boxes."""
     x = np.linspace(0, 0.2, 2)

@@ -15,7 +15,7 @@ from hybrid_jax.kernels.collision import (
     clearances,
     points_between,
 )
-from hybrid_jax.workcell.contacts import may_collide
+from hybrid_jax.workcell.contacts import contact_filter
 from hybrid_jax.workcell.scene import attach, detach, with_opening, with_support
 
 
@@ -31,12 +31,12 @@ def robot_bodies(cell):
 def pairs_of(cell):
     """(geom, geom, both on the robot) of every pair that MuJoCo would check."""
     model, moved = cell.model, robot_bodies(cell)
-    on = moved[model.geom_bodyid]
+    on, allowed = moved[model.geom_bodyid], contact_filter(model)
     return [
         (a, b, bool(on[a] and on[b]))
         for a in range(model.ngeom)
         for b in range(a + 1, model.ngeom)
-        if (on[a] or on[b]) and may_collide(model, a, b)
+        if (on[a] or on[b]) and allowed[a, b]
     ]
 
 

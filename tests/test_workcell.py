@@ -26,11 +26,10 @@ def test_unknown_cells_name_the_known_ones():
 
 
 def test_a_geom_that_the_kernels_cannot_represent_is_named(tmp_path):
-    with pytest.raises(WorkcellError, match="'?egg"):
-        load_text(
-            tmp_path,
-            ARM.format(world='<geom name="egg" type="ellipsoid" size=".1 .1 .2" pos="1 0 0"/>'),
-        )
+    hills = '<asset><hfield name="h" nrow="2" ncol="2" size="1 1 .1 .1"/></asset><worldbody>'
+    text = ARM.format(world='<geom name="hills" type="hfield" hfield="h" pos="3 0 0"/>')
+    with pytest.raises(WorkcellError, match="'?hills.*hfield"):
+        load_text(tmp_path, text.replace("<worldbody>", hills))
 
 
 def test_a_colliding_home_is_refused_with_both_geoms(tmp_path):

@@ -12,7 +12,8 @@ import mujoco
 import numpy as np
 
 from hybrid_jax.types import Trajectory, Workcell
-from hybrid_jax.workcell.layout import moved_geoms
+from hybrid_jax.workcell.contacts import forbidden_contacts
+from hybrid_jax.workcell.layout import home_qpos, moved_geoms
 
 MASK_BITS = 10
 """Bits of a contact mask of the model that are told apart: three times so many fit an integer."""
@@ -112,8 +113,12 @@ class Engine:
         self.model = model = copy.deepcopy(cell.model)
         model.geom_margin[:] = config.clearance  # contacts are reported from this distance on
         model.body_margin[:] = config.clearance  # what the broad phase looks at
-        model.geom_gap[:] = 0.0
+        model.pair_margin[:] = config.clearance
+        model.geom_gap[:] = model.pair_gap[:] = 0.0
+        self.forbidden = forbidden_contacts(model, self.layout)
         self.data = mujoco.MjData(model)
+        # doors, grippers and other arms stand where the kernels have them too
+        self.data.qpos[:] = home_qpos(model)
         self.masks = model.geom_contype.copy(), model.geom_conaffinity.copy()
         self.robot = np.asarray(moved_geoms(model, self.layout), bool)
         self.qpos, self.joints = self.data.qpos, np.asarray(self.layout.qpos)
@@ -178,7 +183,7 @@ class Engine:
         near = np.flatnonzero(self.moving[pairs[:, 0]] | self.moving[pairs[:, 1]])
         for (a, b), gap in zip(pairs[near], self.data.contact.dist[near], strict=True):
             if gap < self.config.clearance and self._counts(int(a), int(b)):
-                names = [self.model.geom(g).name or self._body(g) for g in (a, b)]
+                names = [self.model.geom(g).name or self._named_body(g) for g in (a, b)]
                 how = "touches" if gap < 0 else "comes too close to"
                 return f"{names[0]} {how} {names[1]}"
         return None
@@ -186,11 +191,14 @@ class Engine:
     def _body(self, geom: int) -> str:
         return self.model.body(self.model.geom_bodyid[geom]).name
 
+    def _named_body(self, geom: int) -> str:
+        return self._body(geom) or f"body #{self.model.geom_bodyid[geom]}"
+
     def _counts(self, a: int, b: int) -> bool:
         """Must these two not touch?"""
         carried = [int(self.model.geom_bodyid[g]) == self.held_body for g in (a, b)]
         if not any(carried):
-            return True
+            return bool(self.forbidden[a, b])
         other = b if carried[0] else a
         return not (self.robot[other] or self._body(other) in self.scene.support)
 

@@ -13,6 +13,7 @@ from hybrid_jax.skills.handling import object_in_tool
 from hybrid_jax.skills.scenes import require_task_data
 from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.layout import Layout
+from hybrid_jax.workcell.load import read_spec
 
 ARM, FINGERS, OBJECTS = 0, 1, 2
 """Rows of the movers: the arm, its fingers, then one for each object."""
@@ -142,14 +143,14 @@ def sense_cell(cell: Workcell) -> SensedCell:
     """
     require_task_data(cell)
     path, layout = cell.source.path, cell.source.layout
-    if path is None or path.suffix != ".xml":
+    if path is None or path.suffix.lower() != ".xml":
         raise WorkcellError(f"{cell.source.name}: only cells of MJCF files can be executed")
     pairs, things, weights = _pairs(cell.model, layout)
     if not all(things) or not all(pair.first for pair in pairs):
         raise WorkcellError(f"{cell.source.name}: a body with geoms has no name; give it one")
     with warnings.catch_warnings(), engine_messages(cell.source.name):
         warnings.simplefilter("ignore", UserWarning)
-        spec = mujoco.MjSpec.from_file(str(path))
+        spec = read_spec(path, cell.source.tool)
         for pair in pairs:
             sensor = spec.add_sensor(
                 type=mujoco.mjtSensor.mjSENS_CONTACT,

@@ -41,6 +41,34 @@ def cylinder(radius: float, half_length: float) -> list[tuple]:
     return [(RigidTransform.from_rotation(turn), half, 0.0) for turn in turns]
 
 
+def ellipsoid(half: np.ndarray) -> list[tuple]:
+    """The box that its shortest half axis, as a ball, sweeps into a solid around the ellipsoid.
+
+    Exact for a sphere, a capsule around a ball that is stretched along one axis.
+    """
+    radius = float(np.min(half))
+    identity = RigidTransform.identity()
+    return [(identity, tuple(float(h) - radius for h in half), radius)]
+
+
+def ellipsoid_excess(half: np.ndarray, samples: int = 4000) -> float:
+    """How far that solid stands out of the ellipsoid, by samples of its surface [m]."""
+    radius, rng = float(np.min(half)), np.random.default_rng(0)
+    outwards = rng.normal(size=(samples, 3))
+    outwards /= np.linalg.norm(outwards, axis=1, keepdims=True)
+    corner = np.sign(outwards) * (np.asarray(half) - radius)
+    surface = corner + radius * outwards
+    # the point of an ellipsoid below a point outside: one multiplier, found by bisection
+    low, high = np.zeros(samples), np.full(samples, float(np.max(half)) ** 2 * 10)
+    squared = np.asarray(half, float) ** 2
+    for _ in range(60):
+        middle = (low + high) / 2
+        inside = np.sum(squared * (surface / (squared + middle[:, None])) ** 2, axis=1) < 1
+        low, high = np.where(inside, low, middle), np.where(inside, middle, high)
+    below = squared * surface / (squared + low[:, None])
+    return float(np.linalg.norm(surface - below, axis=1).max())
+
+
 def distance_to_hull(point: np.ndarray, vertices: np.ndarray) -> float:
     """Distance of a point and the convex hull of some vertices [m]."""
     weight = 1e3 * np.ptp(vertices)  # the weights of the vertices sum to one

@@ -3,8 +3,10 @@
 
 from pathlib import Path
 
-from hybrid_jax.errors import UnknownNameError
+from hybrid_jax.errors import UnknownNameError, WorkcellError
 
+ENDINGS = ".xml", ".urdf", ".mjb"
+"""Kinds of files that a cell is read from: MJCF, URDF, compiled MJCF; in any case."""
 _PACKAGE = Path(__file__).resolve().parent.parent
 
 
@@ -25,14 +27,23 @@ def default_workcell() -> str:
 
 
 def find_workcell(name_or_path: str | Path) -> Path:
-    """MJCF file of a cell, from the name of a shipped cell or a path to a file.
+    """File of a cell, from the name of a shipped cell or a path to a file.
 
     Raises:
         UnknownNameError: neither; the message lists the names.
+        WorkcellError: a file of another kind.
     """
     path = Path(name_or_path)
-    if path.suffix in (".xml", ".urdf", ".mjb") and path.is_file():
-        return path.resolve()
+    if path.is_file():
+        ending = path.suffix.lower()
+        if ending in ENDINGS:
+            return path.resolve()
+        if ending == ".xacro":
+            raise WorkcellError(
+                f"{path} is a xacro file, which must be expanded first: xacro {path.name} > "
+                f"{path.stem.removesuffix('.urdf')}.urdf"
+            )
+        raise WorkcellError(f"{path} is no work cell: its ending is none of {', '.join(ENDINGS)}")
     shipped = robots_folder() / "workcells" / f"{name_or_path}.xml"
     if shipped.is_file():
         return shipped

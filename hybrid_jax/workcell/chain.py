@@ -14,6 +14,8 @@ DEFAULT_VELOCITY = 1.0
 """Velocity limit of a joint whose `user` data states none [rad/s or m/s]: slow on purpose."""
 DEFAULT_ACCELERATION = 5.0
 """The same for accelerations [rad/s^2 or m/s^2]."""
+UNLIMITED = -2 * np.pi, 2 * np.pi
+"""Range in which a hinge without limits is planned [rad]: from any angle, a turn either way."""
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 
 
@@ -40,19 +42,34 @@ def joint_frames(model, data, layout) -> list:
 def _limits(model, layout) -> np.ndarray:
     rows = []
     for name, j in zip(layout.joint_names, layout.joints, strict=True):
+        low, high = model.jnt_range[j]
+        if low > high or model.jnt_limited[j] and low == high:
+            # MuJoCo takes a range that is turned round as none
+            raise WorkcellError(
+                f"joint {name!r} has the range {low:g} to {high:g}: the lower limit comes first"
+            )
         if model.jnt_limited[j]:
-            rows.append(model.jnt_range[j])
+            rows.append((low, high))
         elif model.jnt_type[j] == _HINGE:
-            rows.append((-2 * np.pi, 2 * np.pi))
+            rows.append(UNLIMITED)
         else:
             raise WorkcellError(f"slide joint {name!r} has no range: add range='lower upper'")
     return np.array(rows)
 
 
 def _rates(model, layout, column: int, default: float) -> np.ndarray:
+    """What is stated, else the default.
+
+    Raises:
+        WorkcellError: a limit that is no finite number.
+    """
     if model.nuser_jnt <= column:
         return np.full(len(layout.joints), default)
     stated = model.jnt_user[list(layout.joints), column]
+    for name, value in zip(layout.joint_names, stated, strict=True):
+        if not np.isfinite(value):
+            what = ("velocity", "acceleration")[column]
+            raise WorkcellError(f"joint {name!r} has the {what} limit {value}: it must be finite")
     return np.where(stated > 0, stated, default)
 
 
@@ -60,7 +77,7 @@ def kinematic_chain(model, data, layout) -> KinematicChain:
     """The arm as the kernels read it.
 
     Raises:
-        WorkcellError: a slide joint without a range.
+        WorkcellError: a slide joint without a range, or a limit that is no finite number.
     """
     frames = joint_frames(model, data, layout)
     base = pose_of([0, 0, 0], [1, 0, 0, 0])

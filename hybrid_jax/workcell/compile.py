@@ -9,25 +9,24 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from hybrid_jax.errors import WorkcellError
 from hybrid_jax.types import RobotShapes, Scene, Workcell, WorkcellSource
 from hybrid_jax.workcell import geometry
 from hybrid_jax.workcell.chain import joint_frames, kinematic_chain, reference_data
-from hybrid_jax.workcell.contacts import contact_pairs
+from hybrid_jax.workcell.contacts import contact_pairs, forbidden_contacts
 from hybrid_jax.workcell.description import TaskData
-from hybrid_jax.workcell.layout import body_joints, body_path, find_layout, home_qpos
+from hybrid_jax.workcell.layout import (
+    Layout,
+    body_joints,
+    body_path,
+    find_layout,
+    geom_links,
+    home_qpos,
+)
 from hybrid_jax.workcell.poses import matrix_pose, pose_of
 
 MESH_TOLERANCE = 5e-3
 """How far the boxes of a convex mesh may stand out of it, unless the caller allows more [m]."""
-
-
-def _link_of(model, layout, geom: int) -> int:
-    """Last arm joint above a geom; -1 for a geom that the arm does not move."""
-    link = -1
-    for body in body_path(model, int(model.geom_bodyid[geom])):
-        for j in body_joints(model, body):
-            link = layout.joints.index(j) if j in layout.joints else link
-    return link
 
 
 def _stroke(model, data, layout, geom: int, frame) -> np.ndarray:
@@ -57,7 +56,7 @@ def _robot(model, data, layout, geoms, frames, links, tolerance):
     return ones, RobotShapes(
         shapes=geometry.to_shapes(ones),
         stroke=jnp.asarray(np.array(rows, np.float32).reshape(-1, 3)),
-        link=tuple(links[p.geom] for p in ones),
+        link=tuple(int(links[p.geom]) for p in ones),
     )
 
 
@@ -89,23 +88,45 @@ def _digest(arrays, names, task) -> str:
     return total.hexdigest()
 
 
+def require_geometry(model: mujoco.MjModel, layout: Layout) -> None:
+    """Raise where the arm has nothing that could touch anything: every motion would seem free."""
+    links = geom_links(model, layout)
+    if not any(links[g] >= 0 for g in geometry.touching_geoms(model)):
+        body = model.body(int(model.site_bodyid[layout.tool_site])).name
+        raise WorkcellError(
+            f"no geom of the arm (joints {', '.join(layout.joint_names)}; tool on {body!r}) can "
+            "touch anything: its collision geoms are missing, or their contype and conaffinity "
+            "are 0"
+        )
+
+
 def compile_workcell(
     model: mujoco.MjModel,
     name: str,
     task: TaskData | None,
     mesh_tolerance: float = MESH_TOLERANCE,
     path: Path | None = None,
+    tool: str = "",
 ) -> Workcell:
     """Turn a compiled model into the pytree that the kernels read.
 
+    Args:
+        model: of the whole cell.
+        name: of the cell.
+        task: its data, if it has any.
+        mesh_tolerance: how far the boxes of a mesh may stand out of its convex hull [m].
+        path: of the file that the model was read from.
+        tool: site that is the tool; as the task data say, or a usual name, if empty.
+
     Raises:
-        WorkcellError: a geom the kernels cannot represent, no serial arm, a slide without range.
+        WorkcellError: a geom the kernels cannot represent, an arm without any, no serial arm, a
+            slide without range, limits that are no numbers.
     """
-    layout = find_layout(model, task)
+    layout = find_layout(model, task, tool)
+    require_geometry(model, layout)
     data = reference_data(model, layout)
     frames = joint_frames(model, data, layout)
-    geoms = geometry.collision_geoms(model)
-    links = {g: _link_of(model, layout, g) for g in geoms}
+    geoms, links = geometry.collision_geoms(model), geom_links(model, layout)
     movable = [g for g in geoms if _object_of(model, layout, g) >= 0]
     moved = [g for g in geoms if links[g] >= 0]
     fixed = [g for g in geoms if links[g] < 0 and g not in movable]
@@ -119,7 +140,10 @@ def compile_workcell(
     gripper = task.gripper if task else None
     nothing_held = task is not None and gripper is None
     slots = (0, 0) if nothing_held else _payload_slots(owners, objects)
-    pairs = contact_pairs(model, robot, slots, fixtures, objects, links, len(layout.joints) - 1)
+    pairs = contact_pairs(
+        robot, slots, fixtures, objects, links, len(layout.joints) - 1,
+        forbidden_contacts(model, layout),
+    )  # fmt: skip
     scene = Scene(
         objects=geometry.to_shapes(objects),
         payload=geometry.to_shapes([], slots),
@@ -143,5 +167,6 @@ def compile_workcell(
         owners=tuple(owners),
         fixture_bodies=tuple(model.body(model.geom_bodyid[p.geom]).name for p in fixtures),
         path=path,
+        tool=tool,
     )
     return Workcell(**arrays, scene=scene, source=source)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Which primitives of a cell may touch which, by MuJoCo's own filters."""
+"""Which geoms and primitives of a cell must not touch: one rule for kernels and engines."""
 
 import jax.numpy as jnp
 import mujoco
@@ -7,35 +7,50 @@ import numpy as np
 
 from hybrid_jax.kernels.primitives import joined_order
 from hybrid_jax.types import ContactPairs
-from hybrid_jax.workcell.geometry import Primitive, geom_label
-from hybrid_jax.workcell.layout import Layout, home_qpos, moved_geoms
+from hybrid_jax.workcell.geometry import PIERCEABLE, Primitive, geom_label, pierces
+from hybrid_jax.workcell.layout import Layout, geom_links, home_qpos
 
 
-def may_collide(model: mujoco.MjModel, a: int, b: int) -> bool:
-    """MuJoCo's own filter: bit masks, same or adjacent bodies, excluded body pairs."""
-    bits = (model.geom_contype[a] & model.geom_conaffinity[b]) | (
-        model.geom_contype[b] & model.geom_conaffinity[a]
-    )
-    body_a, body_b = int(model.geom_bodyid[a]), int(model.geom_bodyid[b])
-    weld_a, weld_b = int(model.body_weldid[body_a]), int(model.body_weldid[body_b])
-    if not bits or weld_a == weld_b:
-        return False
-    parent_a = int(model.body_weldid[model.body_parentid[weld_a]])
-    parent_b = int(model.body_weldid[model.body_parentid[weld_b]])
-    if weld_a and weld_b and (weld_a == parent_b or weld_b == parent_a):
-        return False
-    low, high = sorted((body_a, body_b))
-    return (low << 16) + high not in set(int(s) for s in model.exclude_signature)
+def contact_filter(model: mujoco.MjModel) -> np.ndarray:
+    """`[geom, geom]` which geoms MuJoCo lets touch.
+
+    Bit masks, same or adjacent bodies, excluded body pairs; and the pairs of `<contact>`, which
+    go before all of these.
+    """
+    kind, mask = model.geom_contype, model.geom_conaffinity
+    bits = (kind[:, None] & mask) | (mask[:, None] & kind)
+    body = model.geom_bodyid
+    weld = model.body_weldid[body]
+    parent = model.body_weldid[model.body_parentid[weld]]
+    adjacent = (weld[:, None] == parent) | (parent[:, None] == weld)
+    moving = (weld[:, None] > 0) & (weld > 0)
+    low, high = np.minimum(body[:, None], body), np.maximum(body[:, None], body)
+    excluded = np.isin((low << 16) + high, model.exclude_signature)
+    allowed = (bits > 0) & (weld[:, None] != weld) & ~(adjacent & moving) & ~excluded
+    allowed[model.pair_geom1, model.pair_geom2] = True
+    allowed[model.pair_geom2, model.pair_geom1] = True
+    return allowed
+
+
+def forbidden_contacts(model: mujoco.MjModel, layout: Layout) -> np.ndarray:
+    """`[geom, geom]` which geoms a motion of the arm must keep apart.
+
+    One of them is the arm's, and the arm moves them against each other: what hangs on one link, as
+    the fingers of a gripper do, is the gripper's business.
+    """
+    links = geom_links(model, layout)
+    moved = (links[:, None] != links) & ((links[:, None] >= 0) | (links >= 0))
+    return contact_filter(model) & moved
 
 
 def overlaps(
-    model: mujoco.MjModel, data: mujoco.MjData, robot: np.ndarray, within: float = 0.0
+    model: mujoco.MjModel, data: mujoco.MjData, forbidden: np.ndarray, within: float = 0.0
 ) -> dict[tuple[int, int], float]:
-    """Pairs of geoms, one of them the robot's, that overlap at `data.qpos`, and how deep [m].
+    """Pairs of geoms that must be kept apart and overlap at `data.qpos`, and how deep [m].
 
     Args:
         model, data: the cell in C MuJoCo.
-        robot: `[geom]` True for the robot's.
+        forbidden: from `forbidden_contacts`.
         within: pairs count that are less than this apart, if the model's margins report them; how
             deep they overlap is negative then [m].
     """
@@ -46,18 +61,40 @@ def overlaps(
         (int(a), int(b)): -float(contact.dist)
         for contact in data.contact[: data.ncon]
         for a, b in [sorted(contact.geom)]
-        if contact.dist < within and (robot[a] or robot[b]) and may_collide(model, a, b)
+        if contact.dist < within and forbidden[a, b]
     }
+
+
+def pierced(
+    model: mujoco.MjModel, data: mujoco.MjData, forbidden: np.ndarray
+) -> list[tuple[int, int]]:
+    """Capsules whose axis runs through a box that they must not touch.
+
+    C MuJoCo reports no contact of such a pair; the kernels do.
+    """
+    capsules, boxes = (np.flatnonzero(model.geom_type == kind) for kind in PIERCEABLE)
+    return [
+        (int(capsules[a]), int(boxes[b]))
+        for a, b in np.argwhere(forbidden[np.ix_(capsules, boxes)])
+        if pierces(model, data, int(capsules[a]), int(boxes[b]))
+    ]
 
 
 def home_overlaps(model: mujoco.MjModel, layout: Layout) -> list[str]:
     """What the robot overlaps with in its home configuration, in sentences."""
-    data = mujoco.MjData(model)
+    data, forbidden = mujoco.MjData(model), forbidden_contacts(model, layout)
     data.qpos[:] = home_qpos(model)
+    found = {
+        pair: f"overlap by {1e3 * depth:.1f} mm"
+        for pair, depth in overlaps(model, data, forbidden).items()
+    }
+    for a, b in pierced(model, data, forbidden):
+        low, high = sorted((a, b))
+        found.setdefault((low, high), "overlap: one runs right through the other")
     return [
         f"the home configuration collides: {geom_label(model, a)} and {geom_label(model, b)} "
-        f"overlap by {1e3 * depth:.1f} mm; change the keyframe 'home'"
-        for (a, b), depth in overlaps(model, data, moved_geoms(model, layout)).items()
+        f"{how}; change the keyframe 'home'"
+        for (a, b), how in found.items()
     ]
 
 
@@ -71,28 +108,28 @@ def _cover(table: np.ndarray, boxes: list[bool]) -> list[int]:
     return found
 
 
-def _own_table(model, rows: list[Primitive | None], links: dict[int, int], last: int) -> np.ndarray:
+def _own_table(rows: list[Primitive | None], links: np.ndarray, last: int, forbidden) -> np.ndarray:
     """`[row, row]` 1 where two primitives of robot and payload (None) may touch."""
     table = np.zeros((len(rows), len(rows)), np.float32)
     for i, a in enumerate(rows):
         for j, b in enumerate(rows):
             if a and b:
-                table[i, j] = may_collide(model, a.geom, b.geom)
+                table[i, j] = forbidden[a.geom, b.geom]
             elif a or b:
                 # the payload may touch the link that carries the gripper, and nothing before it
                 table[i, j] = links[(a or b).geom] < last
     return table
 
 
-def contact_pairs(model, robot, slots, fixtures, objects, links, last_link) -> ContactPairs:
+def contact_pairs(robot, slots, fixtures, objects, links, last_link, forbidden) -> ContactPairs:
     """Tables over rows and columns in the kernels' order (`kernels.primitives.join`).
 
     Args:
-        model: whose filters apply.
         robot, fixtures, objects: primitives, capsules first.
         slots: capsules and boxes that a payload may have.
-        links: link of each robot geom.
+        links: link of each geom.
         last_link: the link that carries the gripper.
+        forbidden: from `forbidden_contacts`.
     """
 
     def slim(ones):
@@ -103,8 +140,8 @@ def contact_pairs(model, robot, slots, fixtures, objects, links, last_link) -> C
     boxes = [i - len(robot) >= slots[0] if p is None else not p.slim
              for i, p in zip(order, rows, strict=True)]  # fmt: skip
     columns = fixtures + objects
-    world = [[p is None or may_collide(model, p.geom, c.geom) for c in columns] for p in rows]
-    table = _own_table(model, rows, links, last_link)
+    world = [[p is None or forbidden[p.geom, c.geom] for c in columns] for p in rows]
+    table = _own_table(rows, links, last_link, forbidden)
     cover = _cover(table, boxes)
     own = table[:, cover]
     for k in range(len(cover)):

@@ -4,7 +4,7 @@
 import copy
 import itertools
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,12 +14,19 @@ import numpy as np
 from hybrid_jax.errors import HybridJaxError, WorkcellError
 from hybrid_jax.quiet import engine_messages
 from hybrid_jax.workcell import geometry
-from hybrid_jax.workcell.chain import DEFAULT_ACCELERATION, DEFAULT_VELOCITY, reference_data
-from hybrid_jax.workcell.compile import MESH_TOLERANCE
-from hybrid_jax.workcell.contacts import home_overlaps, overlaps
-from hybrid_jax.workcell.description import read_task_data
-from hybrid_jax.workcell.layout import Layout, body_path, find_layout, home_qpos, moved_geoms
-from hybrid_jax.workcell.load import read_model
+from hybrid_jax.workcell.approximation import ellipsoid_excess
+from hybrid_jax.workcell.chain import (
+    DEFAULT_ACCELERATION,
+    DEFAULT_VELOCITY,
+    joint_frames,
+    reference_data,
+)
+from hybrid_jax.workcell.compile import MESH_TOLERANCE, require_geometry
+from hybrid_jax.workcell.contacts import forbidden_contacts, home_overlaps, overlaps
+from hybrid_jax.workcell.description import TaskData, read_task_data
+from hybrid_jax.workcell.layout import Layout, body_path, find_layout, home_qpos
+from hybrid_jax.workcell.load import as_spec, read_model
+from hybrid_jax.workcell.toolframe import longest_chain
 
 WRONG, DOUBTFUL = "wrong", "doubtful"
 SAMPLES = 200
@@ -28,6 +35,12 @@ CLOSE = 0.004
 """A pair that is never further apart leaves no clearance that a motion could keep [m]."""
 NARROW = 0.2
 """A hinge that turns by less was probably meant in other units [rad]."""
+FASTEST = {"rad": 30.0, "m": 20.0}
+"""A joint that is faster was probably meant in other units [rad/s, m/s]: 5 turns a second."""
+SLOWEST = 1e-4
+"""A joint that is slower takes hours for any motion [rad/s, m/s]."""
+LONGEST = 20.0
+"""An arm that reaches further was probably drawn in millimetres [m]."""
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 
 
@@ -40,33 +53,55 @@ class Finding:
     text: str
 
 
-def diagnose(path: Path, mesh_tolerance: float = MESH_TOLERANCE) -> list[Finding]:
+def diagnose(
+    path: Path,
+    mesh_tolerance: float = MESH_TOLERANCE,
+    tool: str = "",
+    package_paths: Sequence[Path] = (),
+) -> list[Finding]:
     """What is wrong with a cell, worst first; empty if nothing is.
 
     Args:
         path: MJCF, URDF or MJB file; the task data beside it are read as well.
-        mesh_tolerance: see `load_workcell`.
+        mesh_tolerance, tool, package_paths: see `load_workcell`.
     """
+    found: list[Finding] = []
+    task = _tried(found, lambda: read_task_data(path.with_suffix(".toml")))
+    model, layout = _look(found, path, task, tool, package_paths)
+    if model is not None:
+        found += _geoms(model, mesh_tolerance)
+    if layout is not None:
+        _tried(found, lambda: require_geometry(model, layout))
+        found += itertools.chain(
+            _joints(path, model, layout), _lengths(model, layout), _masses(path, model, layout),
+            _home(path, model, layout), _always_touching(model, layout),
+        )  # fmt: skip
+    return sorted(dict.fromkeys(found), key=lambda finding: finding.level != WRONG)
+
+
+def _look(found: list[Finding], path: Path, task: TaskData | None, tool: str, packages):
+    """Model and layout, as far as there are any; what stands in their way is found."""
+    model = _tried(found, lambda: read_model(path, tool, packages))
+    layout = model and _tried(found, lambda: find_layout(model, task, tool))
+    if layout is None and model is not None and task:
+        layout = _tried([], lambda: find_layout(model, None, tool))
+    if layout is None and not tool:
+        # where nothing tells the tool, the rest is looked at with the end of the longest chain
+        end = _tried([], lambda: longest_chain(as_spec(path, packages)))
+        model = (end and _tried([], lambda: read_model(path, end, packages))) or model
+        layout = end and _tried([], lambda: find_layout(model, None, end))
+    return model, layout or None
+
+
+def _tried(found: list[Finding], action: Callable):
+    """What an action returns; None, and what is wrong is found, where it raises."""
     try:
-        model = read_model(path)
-    except HybridJaxError as error:
-        return [Finding(WRONG, str(error))]
-    found = list(_geoms(model, mesh_tolerance))
-    try:
-        layout = find_layout(model, read_task_data(path.with_suffix(".toml")))
+        return action()
     except HybridJaxError as error:
         found.append(Finding(WRONG, str(error)))
-        # the rest needs an arm: look for one without the task data
-        try:
-            layout = find_layout(model, None)
-        except HybridJaxError:
-            return found
-    checks = (
-        _joints(model, layout), _masses(path, model, layout), _home(model, layout),
-        _always_touching(model, layout),
-    )  # fmt: skip
-    found += itertools.chain(*checks)
-    return sorted(found, key=lambda finding: finding.level != WRONG)
+    except ValueError:  # MuJoCo's; `read_model` says it
+        pass
+    return None
 
 
 def _geoms(model: mujoco.MjModel, tolerance: float) -> Iterator[Finding]:
@@ -79,34 +114,36 @@ def _geoms(model: mujoco.MjModel, tolerance: float) -> Iterator[Finding]:
     data, world = mujoco.MjData(model), geometry.pose_of([0, 0, 0], [1, 0, 0, 0])
     mujoco.mj_kinematics(model, data)
     for g in geoms:
+        if model.geom_type[g] == geometry.ELLIPSOID:
+            excess = 1e3 * ellipsoid_excess(model.geom_size[g])
+            text = f"the ellipsoid {geometry.geom_label(model, g)} is taken as a rounded box"
+            yield Finding(DOUBTFUL, f"{text} around it, up to {excess:.1f} mm larger")
         try:
             geometry.primitives(model, data, g, world, tolerance)
         except WorkcellError as error:
             yield Finding(WRONG, str(error))
 
 
-def _joints(model: mujoco.MjModel, layout: Layout) -> Iterator[Finding]:
+def _joints(path: Path, model: mujoco.MjModel, layout: Layout) -> Iterator[Finding]:
     """Limits and servos of the arm."""
-    rates = (("velocity", DEFAULT_VELOCITY, 0), ("acceleration", DEFAULT_ACCELERATION, 1))
-    for name, j, actuator in zip(layout.joint_names, layout.joints, layout.actuators, strict=True):
-        if not model.jnt_limited[j] and model.jnt_type[j] == _HINGE:
-            text = f"joint {name!r} has no range: it is planned within two turns"
-            yield Finding(DOUBTFUL, f"{text}; add range='low high'")
-        elif model.jnt_type[j] == _HINGE and np.ptp(model.jnt_range[j]) < NARROW:
-            yield Finding(
-                DOUBTFUL,
-                f"joint {name!r} turns by {np.degrees(np.ptp(model.jnt_range[j])):.1f} deg only: "
-                "ranges are read as degrees unless <compiler angle='radian'/> says otherwise",
-            )
+    rows = zip(layout.joint_names, layout.joint_units, layout.joints, layout.actuators, strict=True)
+    for name, unit, j, actuator in rows:
+        low, high = model.jnt_range[j]
+        if low > high or model.jnt_limited[j] and low == high:
+            text = f"joint {name!r} has the range {low:g} to {high:g}"
+            yield Finding(WRONG, f"{text}: the lower limit comes first")
+        elif not model.jnt_limited[j] and unit == "rad":
+            text = f"joint {name!r} has no range: it turns as often as it likes"
+            yield Finding(DOUBTFUL, f"{text}; add range='low high' if it must not")
         elif not model.jnt_limited[j]:
             yield Finding(WRONG, f"slide joint {name!r} has no range: add range='low high'")
-        for what, default, column in rates:
-            if model.nuser_jnt <= column or model.jnt_user[j, column] <= 0:
-                yield Finding(
-                    DOUBTFUL,
-                    f"joint {name!r} states no {what} limit: {default:g} is used; add "
-                    "user='velocity acceleration' to it and <size nuser_jnt='2'/> to the model",
-                )
+        elif unit == "rad" and high - low < NARROW:
+            yield Finding(
+                DOUBTFUL,
+                f"joint {name!r} turns by {np.degrees(high - low):.1f} deg only: "
+                "ranges are read as degrees unless <compiler angle='radian'/> says otherwise",
+            )
+        yield from _rates(path, model, name, unit, j)
         if actuator < 0:
             yield Finding(
                 DOUBTFUL,
@@ -114,15 +151,57 @@ def _joints(model: mujoco.MjModel, layout: Layout) -> Iterator[Finding]:
             )
 
 
+def _rates(path: Path, model: mujoco.MjModel, name: str, unit: str, j: int) -> Iterator[Finding]:
+    """Velocity and acceleration limits of one joint."""
+    remedy = "add user='velocity acceleration' to it and <size nuser_jnt='2'/> to the model"
+    if path.suffix.lower() == ".urdf":
+        remedy = "a URDF states velocities in <limit>; what else there is to say takes an MJCF"
+    rates = (("velocity", DEFAULT_VELOCITY, "s"), ("acceleration", DEFAULT_ACCELERATION, "s^2"))
+    for column, (what, default, per) in enumerate(rates):
+        value = model.jnt_user[j, column] if model.nuser_jnt > column else 0.0
+        if not np.isfinite(value):
+            text = f"joint {name!r} has the {what} limit {value}: it must be finite"
+            yield Finding(WRONG, text)
+        elif value <= 0:
+            yield Finding(
+                DOUBTFUL,
+                f"joint {name!r} states no {what} limit: {default:g} {unit}/{per} is used; "
+                f"{remedy}",
+            )
+        elif value < SLOWEST:
+            text = f"joint {name!r} has the {what} limit {value:g} {unit}/{per}"
+            yield Finding(WRONG, f"{text}: every motion would take hours")
+        elif column == 0 and value > FASTEST[unit]:
+            meant = "deg/s" if unit == "rad" else "mm/s"
+            text = f"joint {name!r} has the velocity limit {value:g} {unit}/s"
+            yield Finding(DOUBTFUL, f"{text}: was it meant in {meant}?")
+
+
+def _lengths(model: mujoco.MjModel, layout: Layout) -> Iterator[Finding]:
+    """Is the arm as long as one that was drawn in millimetres?"""
+    data = reference_data(model, layout)
+    places = [frame.translation for frame in joint_frames(model, data, layout)]
+    places.append(data.site_xpos[layout.tool_site])
+    length = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
+    slides = [j for j, unit in zip(layout.joints, layout.joint_units, strict=True) if unit == "m"]
+    length = max([length, *(np.ptp(model.jnt_range[j]) for j in slides)])
+    if length > LONGEST:
+        yield Finding(
+            DOUBTFUL,
+            f"the arm is {length:.0f} m long: lengths are in metres; was it meant in mm? Then "
+            "scale the model by 0.001",
+        )
+
+
 def _masses(path: Path, model: mujoco.MjModel, layout: Layout) -> Iterator[Finding]:
     """Links whose mass nobody stated, and things without any."""
     links = {b for j in layout.joints for b in body_path(model, int(model.jnt_bodyid[j]))}
     links = {model.body(b).name for b in links if model.body_weldid[b]}
-    if path.suffix == ".xml":
+    if path.suffix.lower() == ".xml":
         with engine_messages(path.name):
-            spec = mujoco.MjSpec.from_file(str(path))
+            spec = as_spec(path)
         for body in spec.bodies:
-            if body.name in links and not body.explicitinertial:
+            if body.name and body.name in links and not body.explicitinertial:
                 mass = model.body(body.name).mass[0]
                 yield Finding(
                     DOUBTFUL,
@@ -134,41 +213,58 @@ def _masses(path: Path, model: mujoco.MjModel, layout: Layout) -> Iterator[Findi
             yield Finding(WRONG, f"object {name!r} weighs nothing: give its geoms a mass")
 
 
-def _home(model: mujoco.MjModel, layout: Layout) -> Iterator[Finding]:
+def _home(path: Path, model: mujoco.MjModel, layout: Layout) -> Iterator[Finding]:
     """The home configuration: is there one, within the limits, free?"""
-    if not model.nkey:
-        yield Finding(DOUBTFUL, "there is no keyframe 'home': the arm starts with all joints at 0")
-    home = home_qpos(model)
-    for name, j, address in zip(layout.joint_names, layout.joints, layout.qpos, strict=True):
+    home, stated = home_qpos(model), _states_home(path)
+    if not stated:
+        q = ", ".join(
+            f"{name} {home[address]:.3g} {unit}" for name, address, unit in
+            zip(layout.joint_names, layout.qpos, layout.joint_units, strict=True)
+        )  # fmt: skip
+        yield Finding(DOUBTFUL, f"there is no keyframe 'home': the arm starts at {q}")
+    remedy = "change the keyframe 'home'" if stated else "write an MJCF with a keyframe 'home'"
+    rows = zip(layout.joint_names, layout.joint_units, layout.joints, layout.qpos, strict=True)
+    for name, unit, j, address in rows:
         low, high = model.jnt_range[j]
-        if model.jnt_limited[j] and not low <= home[address] <= high:
+        if model.jnt_limited[j] and low < high and not low <= home[address] <= high:
             yield Finding(
                 WRONG,
-                f"the home configuration has joint {name!r} at {home[address]:.3f}, outside its "
-                f"limits {low:.3f} to {high:.3f}; change the keyframe 'home'",
+                f"the home configuration has joint {name!r} at {home[address]:.3f} {unit}, outside "
+                f"its limits {low:.3f} to {high:.3f}; {remedy}",
             )
     for sentence in home_overlaps(model, layout):
         yield Finding(WRONG, sentence)
 
 
+def _states_home(path: Path) -> bool:
+    """Does the file itself hold a keyframe?"""
+    if path.suffix.lower() == ".urdf":
+        return False
+    if path.suffix.lower() == ".mjb":
+        return mujoco.MjModel.from_binary_path(str(path)).nkey > 0
+    with engine_messages(path.name):
+        return len(list(as_spec(path).keys)) > 0
+
+
 def _always_touching(model: mujoco.MjModel, layout: Layout) -> Iterator[Finding]:
     """Bodies that touch, or nearly, in every configuration: a missing exclusion, or a bad geom."""
     model = copy.deepcopy(model)
-    model.geom_margin[:] = model.body_margin[:] = CLOSE  # contacts are reported from this on
+    # contacts are reported from this distance on
+    model.geom_margin[:] = model.body_margin[:] = model.pair_margin[:] = CLOSE
     rng, data = np.random.default_rng(0), reference_data(model, layout)
-    robot, joints = moved_geoms(model, layout), list(layout.joints)
+    forbidden, joints = forbidden_contacts(model, layout), list(layout.joints)
     limited = model.jnt_limited[joints].astype(bool)[:, None]
-    low, high = np.where(limited, model.jnt_range[joints], [-np.pi, np.pi]).T
+    low, high = np.sort(np.where(limited, model.jnt_range[joints], [-np.pi, np.pi]), axis=1).T
     depths = defaultdict(list)
     for _ in range(SAMPLES):
         data.qpos[list(layout.qpos)] = rng.uniform(low, high)
-        for pair, depth in overlaps(model, data, robot, CLOSE).items():
+        for pair, depth in overlaps(model, data, forbidden, CLOSE).items():
             depths[pair].append(depth)
     for (a, b), found in depths.items():
         if len(found) < SAMPLES:
             continue
         pair = f"{geometry.geom_label(model, a)} and {geometry.geom_label(model, b)}"
-        bodies = [model.body(model.geom_bodyid[g]).name for g in (a, b)]
+        bodies = [geometry.body_label(model, int(model.geom_bodyid[g])) for g in (a, b)]
         how = (
             "overlap in every configuration" if min(found) > 0 else
             f"are never further apart than {max(0.0, -1e3 * min(found)):.1f} mm, and no motion "
@@ -176,6 +272,6 @@ def _always_touching(model: mujoco.MjModel, layout: Layout) -> Iterator[Finding]
         )  # fmt: skip
         yield Finding(
             WRONG,
-            f"{pair} {how}: add <exclude body1='{bodies[0]}' body2='{bodies[1]}'/>, or make one "
-            "of them smaller",
+            f"{pair} {how}: add <exclude body1='{bodies[0]}' body2='{bodies[1]}'/> to the "
+            "<contact> of an MJCF, or make one of them smaller",
         )

@@ -14,7 +14,7 @@ from hybrid_jax.workcell import approximation
 from hybrid_jax.workcell.poses import as_row, matrix_pose, pose_of
 
 _G = mujoco.mjtGeom
-SPHERE, CAPSULE, BOX, PLANE, CYLINDER, MESH = (
+KINDS = SPHERE, CAPSULE, BOX, PLANE, CYLINDER, MESH, ELLIPSOID = tuple(
     int(g)
     for g in (
         _G.mjGEOM_SPHERE,
@@ -23,8 +23,12 @@ SPHERE, CAPSULE, BOX, PLANE, CYLINDER, MESH = (
         _G.mjGEOM_PLANE,
         _G.mjGEOM_CYLINDER,
         _G.mjGEOM_MESH,
+        _G.mjGEOM_ELLIPSOID,
     )
 )
+"""Kinds of geoms that the kernels can represent."""
+PIERCEABLE = CAPSULE, BOX
+"""Kinds of geoms of which one can run through the other unseen by C MuJoCo."""
 PLANE_HALF = (50.0, 50.0, 5.0)
 """Half extents of the box that stands for an infinite plane [m]: no work cell is larger."""
 
@@ -46,29 +50,60 @@ class Primitive:
         return self.half[0] == 0.0 and self.half[1] == 0.0
 
 
+def body_label(model: mujoco.MjModel, body: int) -> str:
+    """How messages name a body."""
+    return model.body(body).name or f"#{body}"
+
+
 def geom_label(model: mujoco.MjModel, geom: int) -> str:
     """How messages name a geom."""
     body = int(model.geom_bodyid[geom])
-    label = model.body(body).name or f"#{body}"
-    return f"{model.geom(geom).name or f'#{geom}'} (of body {label!r})"
+    return f"{model.geom(geom).name or f'#{geom}'} (of body {body_label(model, body)!r})"
+
+
+def touching_geoms(model: mujoco.MjModel) -> list[int]:
+    """Geoms that can touch something."""
+    paired = {*model.pair_geom1.tolist(), *model.pair_geom2.tolist()}
+    return [
+        g
+        for g in range(model.ngeom)
+        if model.geom_contype[g] or model.geom_conaffinity[g] or g in paired
+    ]
 
 
 def collision_geoms(model: mujoco.MjModel) -> list[int]:
-    """Geoms that can touch something.
+    """The same, all of kinds that the kernels can represent.
 
     Raises:
-        WorkcellError: a geom of a kind that the kernels cannot represent.
+        WorkcellError: a geom of another kind.
     """
-    geoms = [g for g in range(model.ngeom) if model.geom_contype[g] or model.geom_conaffinity[g]]
+    geoms = touching_geoms(model)
     for g in geoms:
         kind = int(model.geom_type[g])
-        if kind not in (SPHERE, CAPSULE, BOX, PLANE, CYLINDER, MESH):
+        if kind not in KINDS:
             raise WorkcellError(
                 f"geom {geom_label(model, g)} is a {_G(kind).name[7:].lower()}; collision geoms "
-                "must be spheres, capsules, boxes, cylinders, planes or convex meshes. Approximate "
-                "it with those, or set contype and conaffinity to 0 if it is only for show."
+                "must be spheres, capsules, ellipsoids, boxes, cylinders, planes or convex meshes. "
+                "Approximate it with those, or set contype and conaffinity to 0 if it is only for "
+                "show."
             )
     return geoms
+
+
+def pierces(model: mujoco.MjModel, data: mujoco.MjData, capsule: int, box: int) -> bool:
+    """Does the axis of a capsule run through a box? (The slab test of a segment.)"""
+    turn = data.geom_xmat[box].reshape(3, 3)
+    centre = turn.T @ (data.geom_xpos[capsule] - data.geom_xpos[box])
+    axis = turn.T @ data.geom_xmat[capsule].reshape(3, 3)[:, 2] * model.geom_size[capsule, 1]
+    low, high = -1.0, 1.0
+    for place, way, half in zip(centre, axis, model.geom_size[box], strict=True):
+        if abs(way) < 1e-12:
+            if abs(place) >= half:
+                return False
+            continue
+        near, far = sorted(((-half - place) / way, (half - place) / way))
+        low, high = max(low, near), min(high, far)
+    return low < high
 
 
 def _local(model, geom: int, tolerance: float) -> list[tuple]:
@@ -85,6 +120,8 @@ def _local(model, geom: int, tolerance: float) -> list[tuple]:
         return [(pose_of([0, 0, -PLANE_HALF[2]], [1, 0, 0, 0]), PLANE_HALF, 0.0)]
     if kind == CYLINDER:
         return approximation.cylinder(size[0], size[1])
+    if kind == ELLIPSOID:
+        return approximation.ellipsoid(size)
     return approximation.convex_mesh(
         _mesh_vertices(model, geom), tolerance, geom_label(model, geom)
     )

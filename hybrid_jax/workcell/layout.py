@@ -7,13 +7,14 @@ import mujoco
 import numpy as np
 
 from hybrid_jax.errors import UnknownNameError, WorkcellError
+from hybrid_jax.workcell import toolframe
 from hybrid_jax.workcell.description import TaskData
+from hybrid_jax.workcell.toolframe import usual_site
 
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 _MOTION = (_HINGE, int(mujoco.mjtJoint.mjJNT_SLIDE))
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 _ON_JOINT = int(mujoco.mjtTrn.mjTRN_JOINT)
-TOOL_NAMES = ("tool", "tcp", "tool0", "grasp_site", "pinch", "attachment_site")
 
 
 @dataclass(frozen=True)
@@ -61,17 +62,15 @@ def body_joints(model: mujoco.MjModel, body: int) -> range:
     return range(first, first + int(model.body_jntnum[body])) if first >= 0 else range(0)
 
 
-def _find_tool(model: mujoco.MjModel, task: TaskData | None) -> int:
+def _find_tool(model: mujoco.MjModel, task: TaskData | None, tool: str) -> int:
     names = [model.site(i).name for i in range(model.nsite)]
-    wanted = (task.tool_site,) if task else TOOL_NAMES
-    for name in wanted:
-        if name in names:
-            return names.index(name)
-    if task:
-        raise UnknownNameError("tool site", task.tool_site, names)
-    raise WorkcellError(
-        f"the model has no tool frame: add a site named 'tool' to the last link (sites: {names})"
-    )
+    wanted = tool or (task.tool_site if task else "") or usual_site(names)
+    if wanted in names:
+        return names.index(wanted)
+    # a link that was named has become a site of this name
+    if tool and toolframe.TOOL in names:
+        return names.index(toolframe.TOOL)
+    raise UnknownNameError("tool site", wanted, names)
 
 
 def _arm_joints(model: mujoco.MjModel, tool: int) -> tuple[int, ...]:
@@ -86,6 +85,48 @@ def _arm_joints(model: mujoco.MjModel, tool: int) -> tuple[int, ...]:
     if not joints:
         raise WorkcellError(f"no joint moves the tool site {model.site(tool).name!r}")
     return joints
+
+
+_EQ = mujoco.mjtEq
+
+
+def _refuse_couplings(model: mujoco.MjModel, joints: tuple[int, ...]) -> None:
+    """Raise where an active equality moves joints of the arm together, or closes a chain.
+
+    The kernels move every joint by itself. A gripper's own couplings do not matter.
+    """
+    links = _links(model, joints)
+    for e in np.flatnonzero(model.eq_active0):
+        kind, first, second = int(model.eq_type[e]), int(model.eq_obj1id[e]), int(model.eq_obj2id[e])
+        if kind == _EQ.mjEQ_JOINT:
+            named = [j for j in (first, second) if j in joints]
+            what = " and ".join(
+                repr(_name(model, mujoco.mjtObj.mjOBJ_JOINT, j)) for j in (first, second) if j >= 0
+            )
+            if named:
+                raise WorkcellError(
+                    f"an equality couples the joints {what} on the way to the tool: every joint of "
+                    "the arm must move by itself; replace the coupled joint by a fixed link, or "
+                    "leave the equality out"
+                )
+        elif kind in (_EQ.mjEQ_CONNECT, _EQ.mjEQ_WELD):
+            of_site = model.eq_objtype[e] == mujoco.mjtObj.mjOBJ_SITE
+            bodies = [int(model.site_bodyid[i]) if of_site else i for i in (first, second)]
+            if links[bodies[0]] != links[bodies[1]]:
+                names = [_name(model, mujoco.mjtObj.mjOBJ_BODY, b) for b in bodies]
+                raise WorkcellError(
+                    f"an equality ties {names[0]!r} to {names[1]!r}, which the arm moves against "
+                    "each other: closed chains are not supported"
+                )
+
+
+def _links(model: mujoco.MjModel, joints: tuple[int, ...]) -> np.ndarray:
+    """`[body]` number of the last of some joints above it; -1 where none is."""
+    last = {int(model.jnt_bodyid[j]): number for number, j in enumerate(joints)}
+    links = np.full(model.nbody, -1)
+    for body in range(1, model.nbody):
+        links[body] = last.get(body, links[model.body_parentid[body]])
+    return links
 
 
 def _joint_actuator(model: mujoco.MjModel, joint: int) -> int:
@@ -113,15 +154,21 @@ def _count(model, kind) -> int:
     return counts[kind]
 
 
-def find_layout(model: mujoco.MjModel, task: TaskData | None) -> Layout:
+def find_layout(model: mujoco.MjModel, task: TaskData | None, tool: str = "") -> Layout:
     """Tell arm, gripper and movable objects apart.
+
+    Args:
+        model: of the cell.
+        task: its data, if it has any.
+        tool: site or link that is the tool; as the task data say, or a usual name, if empty.
 
     Raises:
         WorkcellError, UnknownNameError: no tool frame, no serial arm, or a name in the task data
             that the model does not have.
     """
-    tool = _find_tool(model, task)
-    joints = _arm_joints(model, tool)
+    site = _find_tool(model, task, tool)
+    joints = _arm_joints(model, site)
+    _refuse_couplings(model, joints)
     free = [
         b
         for b in range(1, model.nbody)
@@ -142,7 +189,7 @@ def find_layout(model: mujoco.MjModel, task: TaskData | None) -> Layout:
         qpos=tuple(int(model.jnt_qposadr[j]) for j in joints),
         dofs=tuple(int(model.jnt_dofadr[j]) for j in joints),
         actuators=tuple(_joint_actuator(model, j) for j in joints),
-        tool_site=tool,
+        tool_site=site,
         fingers=tuple(
             _named(model, mujoco.mjtObj.mjOBJ_JOINT, "gripper joint", n)
             for n in (gripper.joints if gripper else ())
@@ -158,18 +205,14 @@ def find_layout(model: mujoco.MjModel, task: TaskData | None) -> Layout:
     )
 
 
-def moved_bodies(model: mujoco.MjModel, layout: Layout) -> np.ndarray:
-    """`[body]` True for bodies that the arm moves: links, gripper, fingers."""
-    roots = {int(model.jnt_bodyid[j]) for j in layout.joints}
-    moved = np.zeros(model.nbody, bool)
-    for body in range(1, model.nbody):
-        moved[body] = moved[model.body_parentid[body]] or body in roots
-    return moved
+def geom_links(model: mujoco.MjModel, layout: Layout) -> np.ndarray:
+    """`[geom]` the same of each geom: links, gripper, fingers have one."""
+    return _links(model, layout.joints)[model.geom_bodyid]
 
 
 def moved_geoms(model: mujoco.MjModel, layout: Layout) -> np.ndarray:
     """`[geom]` True for geoms that the arm moves."""
-    return moved_bodies(model, layout)[model.geom_bodyid]
+    return geom_links(model, layout) >= 0
 
 
 def home_qpos(model: mujoco.MjModel) -> np.ndarray:

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """From a name or a file to a work cell that is fit to plan in."""
 
+import warnings
+from collections.abc import Sequence
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -8,15 +10,18 @@ import mujoco
 import numpy as np
 
 from hybrid_jax.compilecache import enable_compile_cache
-from hybrid_jax.errors import WorkcellError
+from hybrid_jax.errors import HybridJaxError, WorkcellError
 from hybrid_jax.quiet import engine_messages
 from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.assets import find_workcell
 from hybrid_jax.workcell.compile import MESH_TOLERANCE, compile_workcell
 from hybrid_jax.workcell.contacts import home_overlaps
 from hybrid_jax.workcell.description import read_task_data
-from hybrid_jax.workcell.layout import TOOL_NAMES, home_qpos
+from hybrid_jax.workcell.home import free_home
+from hybrid_jax.workcell.layout import home_qpos
 from hybrid_jax.workcell.scene import place_objects
+from hybrid_jax.workcell.toolframe import set_tool
+from hybrid_jax.workcell.urdf import read_urdf
 
 _NUMBERS = ("body_pos", "body_quat", "geom_pos", "geom_quat", "geom_size", "jnt_pos", "jnt_axis",
             "jnt_range", "site_pos", "site_quat", "mesh_vert", "qpos0", "key_qpos")  # fmt: skip
@@ -25,31 +30,74 @@ _ABSURD = 1e6
 """No length of a work cell is larger [m]."""
 
 
-def _read_urdf(path: Path) -> mujoco.MjModel:
-    """Compile a URDF; its tool is the link with a usual name, else the last link of the arm."""
-    spec = mujoco.MjSpec.from_file(str(path))
-    spec.compiler.fusestatic = False  # a tool link without geometry would vanish
-    named = [body for body in spec.bodies if body.name in TOOL_NAMES]
-    (named or spec.bodies)[-1].add_site(name="tool")
-    return spec.compile()
+def as_spec(path: Path, package_paths: Sequence[Path] = ()) -> mujoco.MjSpec:
+    """An MJCF or URDF file as it is, with what MuJoCo leaves out of a URDF."""
+    if path.suffix.lower() == ".urdf":
+        return read_urdf(path, package_paths)
+    if path.suffix == ".xml":
+        return mujoco.MjSpec.from_file(str(path))
+    spec = mujoco.MjSpec.from_string(path.read_text())  # MuJoCo knows a file by a small ending
+    spec.modelfiledir = str(path.parent)
+    return spec
 
 
-def read_model(path: Path) -> mujoco.MjModel:
-    """Compile an MJCF, URDF or MJB file.
+def read_spec(path: Path, tool: str = "", package_paths: Sequence[Path] = ()) -> mujoco.MjSpec:
+    """An MJCF or URDF file with a tool and, where it needs one, a home.
+
+    A model without a keyframe whose joints cannot all be at zero gets one, see `free_home`.
+
+    Args:
+        path: of the file.
+        tool: site or link that is the tool; found if empty.
+        package_paths: folders that hold the ROS packages of a URDF's meshes.
 
     Raises:
-        WorkcellError: MuJoCo cannot read it (its own message is passed on), or a number in it is
-            not finite or absurd.
+        ValueError: MuJoCo cannot read it.
+        WorkcellError, UnknownNameError: see `read_model`.
+    """
+    spec = as_spec(path, package_paths)
+    if tool or path.suffix.lower() == ".urdf":
+        set_tool(spec, tool)
+    home = free_home(compile_spec(spec))
+    if home is not None:
+        spec.add_key(name="home", qpos=home)
+    return spec
+
+
+def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """Compile, without the warning that a file which includes another cannot be saved."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Attaching a spec", UserWarning)
+        return spec.compile()
+
+
+def _compile(path: Path, tool: str, package_paths: Sequence[Path]) -> mujoco.MjModel:
+    if path.suffix.lower() == ".mjb":
+        return mujoco.MjModel.from_binary_path(str(path))
+    return compile_spec(read_spec(path, tool, package_paths))
+
+
+def read_model(
+    path: Path, tool: str = "", package_paths: Sequence[Path] = ()
+) -> mujoco.MjModel:
+    """Compile an MJCF, URDF or MJB file; see `read_spec`.
+
+    Args:
+        path: of the file.
+        tool: site or link that is the tool; found if empty.
+        package_paths: folders that hold the ROS packages of a URDF's meshes.
+
+    Raises:
+        WorkcellError: MuJoCo cannot read it (its own message is passed on), a number in it is not
+            finite or absurd, or nothing tells which frame of a URDF is the tool.
+        UnknownNameError: no such tool.
     """
     try:
         with engine_messages(path.name):
-            if path.suffix == ".mjb":
-                model = mujoco.MjModel.from_binary_path(str(path))
-            elif path.suffix == ".urdf":
-                model = _read_urdf(path)
-            else:
-                model = mujoco.MjModel.from_xml_path(str(path))
+            model = _compile(path, tool, package_paths)
     except ValueError as error:
+        if isinstance(error, HybridJaxError):
+            raise
         raise WorkcellError(f"{path.name}: MuJoCo cannot read it: {error}") from None
     try:
         model.names.decode()
@@ -61,7 +109,13 @@ def read_model(path: Path) -> mujoco.MjModel:
     return model
 
 
-def load_workcell(name_or_path: str | Path, *, mesh_tolerance: float = MESH_TOLERANCE) -> Workcell:
+def load_workcell(
+    name_or_path: str | Path,
+    *,
+    mesh_tolerance: float = MESH_TOLERANCE,
+    tool: str = "",
+    package_paths: Sequence[Path] = (),
+) -> Workcell:
     """Load a work cell by the name of a shipped one or from an MJCF file.
 
     A file `CELL.toml` beside `CELL.xml` holds the task data (objects, grasps, strokes). Joint
@@ -71,6 +125,8 @@ def load_workcell(name_or_path: str | Path, *, mesh_tolerance: float = MESH_TOLE
     Args:
         name_or_path: name of a shipped cell, or path of an MJCF, URDF or MJB file.
         mesh_tolerance: how far the boxes of a mesh may stand out of its convex hull [m].
+        tool: site or link that is the tool; as the task data say, or found, if empty.
+        package_paths: folders that hold the ROS packages of a URDF's meshes.
 
     Returns:
         The cell with its objects and arm as in the keyframe `home`.
@@ -81,9 +137,9 @@ def load_workcell(name_or_path: str | Path, *, mesh_tolerance: float = MESH_TOLE
     """
     enable_compile_cache()
     path = find_workcell(name_or_path)
-    model = read_model(path)
     task = read_task_data(path.with_suffix(".toml"))
-    cell = compile_workcell(model, path.stem, task, mesh_tolerance, path)
+    model = read_model(path, tool, package_paths)
+    cell = compile_workcell(model, path.stem, task, mesh_tolerance, path, tool)
     for sentence in home_overlaps(model, cell.source.layout):
         raise WorkcellError(sentence)
     home = home_qpos(model)

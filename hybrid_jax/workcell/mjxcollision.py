@@ -19,6 +19,7 @@ from hybrid_jax.kernels import collision
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.quiet import import_mjx
 from hybrid_jax.types import Workcell, WorkcellSource
+from hybrid_jax.workcell.contacts import forbidden_contacts
 from hybrid_jax.workcell.layout import home_qpos, moved_geoms
 
 ALOFT = 1000.0
@@ -72,9 +73,10 @@ def closest(cell: Workcell, q: Float[Array, "n"]) -> tuple[Float[Array, ""], Boo
     model, data = _put(cell.source)
     data = _mjx().kinematics(model, data.replace(qpos=scene_qpos(cell, q)))
     contact = _mjx().collision(model, data)._impl.contact
-    moved = jnp.asarray(np.asarray(moved_geoms(cell.source.model, cell.source.layout)))
-    ours = moved[contact.geom]
-    gaps = jnp.where(ours.any(axis=1), contact.dist, collision.FAR)
+    model, layout = cell.source.model, cell.source.layout
+    ours = jnp.asarray(moved_geoms(model, layout))[contact.geom]
+    forbidden = jnp.asarray(forbidden_contacts(model, layout))
+    gaps = jnp.where(forbidden[*contact.geom.T], contact.dist, collision.FAR)
     nearest = jnp.argmin(gaps)
     return gaps[nearest], ours[nearest].all()
 

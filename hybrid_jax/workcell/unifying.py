@@ -14,7 +14,7 @@ class SharedSource(WorkcellSource):
     def __init__(self, own: WorkcellSource, group: str):
         super().__init__(
             name=own.name, digest=own.digest, model=own.model, layout=own.layout, task=own.task,
-            owners=own.owners, fixture_bodies=own.fixture_bodies, path=own.path,
+            owners=own.owners, fixture_bodies=own.fixture_bodies, path=own.path, tool=own.tool,
         )  # fmt: skip
         self.group = group
 

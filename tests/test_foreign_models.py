@@ -1,0 +1,249 @@
+# SPDX-License-Identifier: MIT
+"""Models as others write them: nothing that they say is lost, nothing is guessed without a word."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from hybrid_jax import check
+from hybrid_jax.errors import UnknownNameError, WorkcellError
+from hybrid_jax.kernels.collision import clearance
+from hybrid_jax.planner.checking import Engine
+from hybrid_jax.planner.scenes import home_scene
+from hybrid_jax.workcell.diagnosis import DOUBTFUL, WRONG, diagnose
+from hybrid_jax.workcell.load import load_workcell
+
+INERTIA = '<inertial><mass value="1"/><inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/>'
+
+
+def link(name, inside=""):
+    return f'<link name="{name}">{INERTIA}</inertial>{inside}</link>'
+
+
+def joint(name, parent, child, kind="revolute", limit='lower="-2" upper="2"', extra=""):
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz=".3 0 0"/><axis xyz="0 0 1"/><limit {limit} effort="12" velocity="1.5"/>'
+        f"{extra}</joint>"
+    )
+
+
+BALL = '<collision><geometry><sphere radius=".05"/></geometry></collision>'
+ARM = (
+    '<robot name="arm">' + link("base") + link("upper", BALL) + link("wrist", BALL)
+    + joint("j1", "base", "upper") + joint("j2", "upper", "wrist", "continuous", "")
+)  # fmt: skip
+FINGERS = (
+    link("left") + link("right")
+    + joint("f1", "wrist", "left", "prismatic", 'lower="0" upper=".04"')
+    + joint("f2", "wrist", "right", "prismatic", 'lower="0" upper=".04"', '<mimic joint="f1"/>')
+)  # fmt: skip
+
+
+def load(tmp_path, text, name="arm.urdf", **options):
+    (tmp_path / name).write_text(text)
+    return load_workcell(tmp_path / name, **options)
+
+
+def tool_body(cell):
+    return cell.model.body(int(cell.model.site_bodyid[cell.source.layout.tool_site])).name
+
+
+def test_what_a_urdf_states_counts(tmp_path):
+    cell = load(tmp_path, ARM + "</robot>")
+    np.testing.assert_allclose(cell.velocity_limits, [1.5, 1.5])
+    np.testing.assert_allclose(cell.model.jnt_actfrcrange[:, 1], [12, 12])
+    assert cell.model.jnt_limited.tolist() == [1, 0]
+    texts = [finding.text for finding in diagnose(tmp_path / "arm.urdf")]
+    assert not any("no velocity limit" in text for text in texts)
+    assert any("'j1' states no acceleration limit: 5 rad/s^2" in text for text in texts)
+
+
+def test_fingers_do_not_become_the_tool(tmp_path):
+    cell = load(tmp_path, ARM + FINGERS + "</robot>")
+    assert cell.joint_names == ("j1", "j2") and tool_body(cell) == "wrist"
+    fixed = '<joint name="t" type="fixed"><parent link="wrist"/><child link="{}"/></joint>'
+    flange = link("flange") + fixed.format("flange")
+    assert tool_body(load(tmp_path, ARM + FINGERS + flange + "</robot>")) == "flange"
+    tcp = link("my_tcp_link") + fixed.format("my_tcp_link")
+    assert tool_body(load(tmp_path, ARM + FINGERS + flange + tcp + "</robot>")) == "my_tcp_link"
+
+
+@pytest.mark.parametrize(
+    "more, candidates",
+    [
+        (FINGERS.replace('<mimic joint="f1"/>', ""), ("wrist", "left", "right")),
+        (link("jaw") + joint("jaw_joint", "wrist", "jaw"), ("wrist", "jaw")),
+        (link("second") + joint("k1", "base", "second"), ("wrist", "second")),
+    ],
+    ids=["two fingers without mimic", "a jaw", "two arms"],
+)
+def test_where_the_tool_cannot_be_told_the_candidates_are_listed(tmp_path, more, candidates):
+    with pytest.raises(WorkcellError, match="--tool NAME") as error:
+        load(tmp_path, ARM + more + "</robot>")
+    assert all(name in str(error.value) for name in candidates)
+    assert tool_body(load(tmp_path, ARM + more + "</robot>", tool="wrist")) == "wrist"
+    with pytest.raises(UnknownNameError, match="wrist"):
+        load(tmp_path, ARM + more + "</robot>", tool="hand")
+    # and the check goes on to what else there is to say
+    levels = {finding.level for finding in diagnose(tmp_path / "arm.urdf")}
+    assert levels == {WRONG, DOUBTFUL}
+
+
+def test_endings_in_any_case_and_files_of_other_kinds(tmp_path):
+    assert load(tmp_path, ARM + "</robot>", "ARM.URDF").joint_names == ("j1", "j2")
+    assert load(tmp_path, CELL.format(more=""), "CELL.XML").joint_names == ("a",)
+    with pytest.raises(WorkcellError, match=r"xacro arm.urdf.xacro > arm.urdf"):
+        load(tmp_path, ARM + "</robot>", "arm.urdf.xacro")
+    with pytest.raises(WorkcellError, match="none of .xml, .urdf, .mjb"):
+        load(tmp_path, ARM, "arm.txt")
+
+
+MESH = '<collision><geometry><mesh filename="{}"/></geometry></collision>'
+
+
+def test_packages_are_found_or_named(tmp_path, monkeypatch):
+    package = tmp_path / "ws" / "my_robot" / "meshes"
+    package.mkdir(parents=True)
+    cube = np.array(np.meshgrid(*[(0, 0.1)] * 3)).reshape(3, -1).T
+    faces = [(0, 1, 2), (1, 3, 2), (4, 6, 5), (5, 6, 7), (0, 4, 1), (1, 4, 5), (2, 3, 6), (3, 7, 6),
+             (0, 2, 4), (2, 6, 4), (1, 5, 3), (3, 5, 7)]  # fmt: skip
+    text = "".join(f"v {x} {y} {z}\n" for x, y, z in cube)
+    text += "".join(f"f {a + 1} {b + 1} {c + 1}\n" for a, b, c in faces)
+    (package / "box.obj").write_text(text)
+    robot = ARM.replace(BALL, MESH.format("package://my_robot/meshes/box.obj"), 1) + "</robot>"
+    away, beside = tmp_path / "elsewhere", tmp_path / "ws" / "my_robot" / "urdf"
+    for folder in (away, beside):
+        folder.mkdir()
+    assert load(beside, robot).robot.shapes.count == 2
+    with pytest.raises(WorkcellError, match="no package 'my_robot'.*--package-path"):
+        load(away, robot)
+    assert load(away, robot, package_paths=[tmp_path / "ws"]).robot.shapes.count == 2
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path / "ws"))
+    assert load(away, robot).robot.shapes.count == 2
+    with pytest.raises(WorkcellError, match="there is no .*none.stl"):
+        load(away, robot.replace("package://my_robot/meshes/box.obj", "none.stl"))
+
+
+def test_a_home_is_found_where_zero_is_outside_the_limits(tmp_path):
+    text = ARM.replace('lower="-2" upper="2"', 'lower="-3" upper="-.1"') + "</robot>"
+    cell = load(tmp_path, text)
+    assert -3 < float(cell.home[0]) < -0.1
+    texts = [f.text for f in diagnose(tmp_path / "arm.urdf") if f.level == WRONG]
+    assert texts == []
+
+
+CELL = """<mujoco><compiler angle="radian"/><size nuser_jnt="2"/><worldbody>
+<body name="link"><joint name="a" axis="0 0 1" range="-1.5 1.5" user="2 5"/>
+<geom name="arm" type="capsule" fromto="0 0 0 .4 0 0" size=".03"/><site name="tool" pos=".4 0 0"/>
+</body>{more}</worldbody></mujoco>"""
+
+
+def findings(tmp_path, text, level=WRONG):
+    (tmp_path / "cell.xml").write_text(text)
+    return " | ".join(f.text for f in diagnose(tmp_path / "cell.xml") if f.level == level)
+
+
+@pytest.mark.parametrize(
+    "old, new, level, words",
+    [
+        ("-1.5 1.5", "1.5 -1.5", WRONG, "'a' has the range 1.5 to -1.5"),
+        ('user="2 5"', 'user="inf 5"', WRONG, "velocity limit inf"),
+        ('user="2 5"', 'user="2 nan"', WRONG, "acceleration limit nan"),
+        ('user="2 5"', 'user="1e-8 5"', WRONG, "velocity limit 1e-08 rad/s"),
+        ('user="2 5"', 'user="171 900"', DOUBTFUL, "171 rad/s: was it meant in deg/s?"),
+        ('pos=".4 0 0"', 'pos="400 0 0"', DOUBTFUL, "400 m long: lengths are in metres"),
+        ('name="tool"', 'name="link_tcp"', WRONG, ""),
+        ('name="tool"', 'name="other"', WRONG, "no tool frame"),
+        ('<geom name="arm"', '<geom contype="0" conaffinity="0"', WRONG, "no geom of the arm"),
+    ],
+)
+def test_each_doubt_says_its_likely_cause(tmp_path, old, new, level, words):
+    assert words in findings(tmp_path, CELL.format(more="").replace(old, new), level)
+
+
+def test_limits_that_are_no_numbers_do_not_load(tmp_path):
+    for bad in ('user="inf 5"', 'user="nan 5"'):
+        with pytest.raises(WorkcellError, match="must be finite"):
+            load(tmp_path, CELL.format(more="").replace('user="2 5"', bad), "cell.xml")
+
+
+def test_coupled_joints_and_closed_chains_are_refused(tmp_path):
+    text = CELL.format(more="").replace(
+        '<site name="tool" pos=".4 0 0"/>',
+        '<body name="fore" pos=".4 0 0"><joint name="b" axis="0 0 1" range="-2 2"/>'
+        '<geom size=".02" pos=".2 0 0"/><site name="tool" pos=".3 0 0"/></body>',
+    )
+    couple = '<equality><joint joint1="b" joint2="a" polycoef="0 -1 0 0 0"/></equality></mujoco>'
+    with pytest.raises(WorkcellError, match="couples the joints 'b' and 'a'"):
+        load(tmp_path, text.replace("</mujoco>", couple), "cell.xml")
+    tie = '<equality><connect body1="fore" body2="world" anchor="0 0 0"/></equality></mujoco>'
+    with pytest.raises(WorkcellError, match="ties 'fore' to 'world'"):
+        load(tmp_path, text.replace("</mujoco>", tie), "cell.xml")
+    loose = couple.replace("<joint ", '<joint active="false" ')
+    assert load(tmp_path, text.replace("</mujoco>", loose), "cell.xml").joint_names == ("a", "b")
+
+
+WALL = '<geom name="wall" type="box" size=".02 .2 .2" pos="0 .3 0"/>'
+
+
+def test_explicit_pairs_are_obeyed(tmp_path):
+    """Both geoms take part in nothing else: MuJoCo's pairs go before all filters."""
+    text = CELL.format(more=WALL).replace('name="arm"', 'name="arm" contype="0" conaffinity="0"')
+    text = text.replace('name="wall"', 'name="wall" contype="0" conaffinity="0"')
+    pair = '<contact><pair geom1="wall" geom2="arm"/></contact></mujoco>'
+    cell = load(tmp_path, text.replace("</mujoco>", pair), "cell.xml")
+    data, engine = mujoco.MjData(cell.model), Engine(cell)
+    engine.enter(home_scene(cell))
+    for q in np.linspace(-1.5, 1.5, 31):
+        data.qpos[:] = q
+        mujoco.mj_forward(cell.model, data)
+        away = mujoco.mj_geomDistance(cell.model, data, *sorted((0, 1)), 5.0, None)
+        ours = float(clearance(cell, np.array([q], np.float32)))
+        assert (ours < 0) == (away < 0) and (engine.collision([q]) is not None) == (away < 5e-4)
+
+
+def test_both_judges_see_other_joints_where_the_scene_says(tmp_path):
+    door = (
+        '<body name="door" pos=".3 .3 0"><joint name="door" axis="0 0 1" range="-2 2"/>'
+        '<geom name="door" size=".1" pos="0 -.3 0"/></body></worldbody>'
+        '<keyframe><key name="home" qpos="0 1.6"/></keyframe>'
+    )
+    text = CELL.format(more="").replace("</worldbody>", door)
+    cell = load(tmp_path, text, "cell.xml")
+    assert float(clearance(cell, cell.home)) > 0.05
+    engine = Engine(cell)
+    engine.enter(home_scene(cell))
+    assert engine.collision(np.asarray(cell.home)) is None
+
+
+def test_a_capsule_right_through_a_thin_box_is_no_home(tmp_path):
+    post = '<geom name="post" type="box" size=".02 .2 .2" pos=".3 .1 0"/>'
+    text = CELL.format(more=post)
+    assert "runs right through" in findings(tmp_path, text)
+    with pytest.raises(WorkcellError, match="post.*arm|arm.*post"):
+        load(tmp_path, text, "cell.xml")
+    assert check.main(str(tmp_path / "cell.xml"), quiet=True) == 1
+    engine_data = mujoco.MjData(mujoco.MjModel.from_xml_string(text))
+    mujoco.mj_forward(mujoco.MjModel.from_xml_string(text), engine_data)
+    assert engine_data.ncon == 0, "the engine alone does not see it"
+
+
+def test_a_body_without_a_name_is_looked_up_by_its_number(tmp_path):
+    text = CELL.format(more="").replace('<body name="link">', "<body>")
+    (tmp_path / "cell.xml").write_text(text)
+    assert check.main(str(tmp_path / "cell.xml"), quiet=True) == 0
+
+
+def test_what_hangs_on_one_link_is_the_grippers_business(tmp_path):
+    fingers = "".join(
+        f'<body name="f{i}" pos=".4 {y} 0"><joint name="f{i}" type="slide" axis="0 1 0" '
+        'range="-.01 .01"/><geom size=".02"/></body>'
+        for i, y in ((1, 0.015), (2, -0.015))
+    )
+    text = CELL.format(more=WALL).replace('<site name="tool"', f'{fingers}<site name="tool"')
+    cell = load(tmp_path, text, "cell.xml")
+    assert float(clearance(cell, cell.home)) > 0.05
+    engine = Engine(cell)
+    engine.enter(home_scene(cell))
+    assert engine.collision(np.asarray(cell.home)) is None
