@@ -7,6 +7,7 @@ a file that cannot be read or written; 70 a defect of this package; 130 stopped 
 
 import _thread
 import json
+import os
 import sys
 import threading
 import traceback
@@ -43,6 +44,7 @@ def _interrupt_again(dropped) -> None:
 def run_cli(command: Callable[[], int]) -> None:
     """Run a command to its exit code; what goes wrong is said in one sentence."""
     sys.unraisablehook = _interrupt_again
+    os.environ["JAX_ENABLE_X64"] = "0"  # the kernels' arrays are float32
     try:
         code = command()
     except HybridJaxError as error:

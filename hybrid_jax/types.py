@@ -217,6 +217,7 @@ class Status(enum.IntEnum):
     COLLISION = 5
     INVALID_TASK = 6
     START_INVALID = 7
+    NO_PATH = 8
 
     @property
     def sentence(self) -> str:
@@ -228,11 +229,12 @@ _SENTENCES = {
     Status.OK: "the trajectory was found and checked",
     Status.NEED_DEMO: "no demonstrated skill is close enough to a part of the task",
     Status.TASK_INFEASIBLE: "a key pose of the task cannot be reached free of collision",
-    Status.DRL_TIMEOUT: "no way around an infeasible part was found",
+    Status.DRL_TIMEOUT: "the joint agent found no way around an infeasible part",
     Status.SEAM_FAILED: "the parts do not join into one continuous joint motion",
     Status.COLLISION: "the assembled trajectory failed its final check",
     Status.INVALID_TASK: "the task does not belong to this cell or holds bad numbers",
     Status.START_INVALID: "the arm cannot start where it is said to stand",
+    Status.NO_PATH: "no path was found",
 }
 
 

@@ -136,7 +136,7 @@ def test_what_is_held_is_carried_around_the_wall_as_well():
 def test_no_way_is_said():
     near = ball_cell(0.43)  # in the way of the inner link as well, which cannot be lifted
     result = plan_joint_motion(near, START, GOAL, CONFIG, key=jax.random.key(0))
-    assert result.status is Status.DRL_TIMEOUT and "no path" in result.detail
+    assert result.status is Status.NO_PATH and "no path" in result.detail
 
 
 def test_the_engine_sees_the_same_without_the_pairs_that_it_skips(cell, monkeypatch):

@@ -99,7 +99,8 @@ def test_a_task_that_the_quick_look_leaves_open_is_looked_at_again(planner, plan
 def test_skills_alone_do_not_get_around_the_wall(planner):
     task = random_task(planner.cell, 4)
     result = plan_motion(lfd_only(planner), task, key=jax.random.key(0))
-    assert result.status is Status.DRL_TIMEOUT and result.phases == []
+    assert result.status is Status.NO_PATH and result.phases == []
+    assert "nothing is there" in result.detail, "no agent ran, and none is blamed"
 
 
 def test_a_missing_demonstration_is_named(planner):

@@ -8,6 +8,7 @@ import toppra
 import toppra.algorithm
 import toppra.constraint
 
+from hybrid_jax.errors import InputError
 from hybrid_jax.kernels.pathspeed import fastest_speeds
 from hybrid_jax.planner.timing import TimingConfig, time_parameterize
 
@@ -42,7 +43,7 @@ def test_speeds_are_those_of_toppra(seed):
     padded = np.concatenate([grid, grid[-1:].repeat(8)])
     rows = (
         path(padded, 1), path(padded, 2), np.diff(padded, append=padded[-1]),
-        np.tile(speed, (len(padded), 1)), np.tile(rate, (len(padded), 1)), np.full(len(padded), 1e9),
+        *(np.tile(limit, (len(padded), 1)) for limit in (speed, rate)), np.full(len(padded), 1e9),
     )  # fmt: skip
     found = np.asarray(jax.jit(fastest_speeds)(*(a.astype(np.float32) for a in rows)), float)
     assert found.shape == padded.shape and (found[POINTS - 1 :] == 0).all(), "ends at rest"
@@ -102,3 +103,42 @@ def test_a_limit_of_the_jerk_is_kept_at_little_cost(cell, jerk):
     # the path itself is not left
     for point in kept.positions[:: len(kept.positions) // 10]:
         assert np.abs(q - point).max(axis=1).min() < 0.03
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_motions_are_slowed_where_it_is_needed_only(cell, seed):
+    """Through few random points: at most a hundredth longer than the optimum on a fine grid."""
+    q = np.random.default_rng(seed).uniform(-2, 2, (5, 7))
+    chain = cell.chain.replace(velocity_limits=np.ones(7), acceleration_limits=5 * np.ones(7))
+    whole = TimingConfig(speed=1.0, acceleration=1.0)
+    motion = time_parameterize(cell.replace(chain=chain), [(q, np.zeros(5, int))], whole)[0]
+    knots = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))])
+    limits = [
+        kind(np.stack([-np.full(7, most), np.full(7, most)], 1))
+        for kind, most in (
+            (toppra.constraint.JointVelocityConstraint, 1.0),
+            (toppra.constraint.JointAccelerationConstraint, 5.0),
+        )
+    ]
+    path, grid = toppra.SplineInterpolator(knots, q), np.linspace(0, knots[-1], 3000)
+    best = toppra.algorithm.TOPPRA(limits, path, gridpoints=grid).compute_parameterization(0, 0)
+    assert 0.999 < motion.times[-1] / duration(grid, np.asarray(best[1]) ** 2) < 1.01
+    for p in q:  # and its shape is that of the path
+        assert np.abs(motion.positions - p).max(axis=1).min() < 0.01
+
+
+def test_both_ends_are_at_rest_and_few_samples_keep_the_shape(cell):
+    q = np.asarray(cell.home) + np.linspace(0, 1, 12)[:, None] ** 2 * np.sin(np.arange(7))
+    for period in (0.002, 0.01, 10.0):
+        config = TimingConfig(sample_time=period)
+        motion = time_parameterize(cell, [(q, np.zeros(12, int))], config)[0]
+        assert len(motion.times) >= 12 and np.diff(motion.times).max() <= period + 1e-9
+        assert not motion.velocities[[0, -1]].any() and not motion.accelerations[[0, -1]].any()
+        assert np.isclose(1e3 * motion.times[-1], np.round(1e3 * motion.times[-1]))
+
+
+def test_limits_that_make_a_motion_last_for_years_are_named(cell):
+    chain = cell.chain.replace(velocity_limits=np.full(7, 1e-8))
+    q = np.asarray(cell.home) + np.linspace(0, 1, 12)[:, None] * np.ones(7)
+    with pytest.raises(InputError, match="would last .* limits of a joint are too small"):
+        time_parameterize(cell.replace(chain=chain), [(q, np.zeros(12, int))], TimingConfig())

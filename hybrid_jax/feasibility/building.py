@@ -18,6 +18,7 @@ from hybrid_jax.errors import MapError, RunFolderError
 from hybrid_jax.feasibility.flooding import Block, Field, Flood
 from hybrid_jax.feasibility.grid import MapConfig, nearest_cell, orientations
 from hybrid_jax.feasibility.judging import Judge, Level, Reason
+from hybrid_jax.kernels.inputs import single_precision
 from hybrid_jax.types import Workcell, pytree
 
 _SCALE_SAMPLES = 65536
@@ -181,6 +182,7 @@ def _within(progress, done: int, size: int, total: int) -> Callable[[float], Non
     return lambda share: progress(done + int(share * size), total) if progress else None
 
 
+@single_precision
 def build_feasibility_map(
     cell: Workcell,
     config: MapConfig = MapConfig(),
@@ -257,6 +259,7 @@ def save_map(path: Path | str, cell: Workcell, fmap: FeasibilityMap) -> None:
     artifacts.save(Path(path), _KIND, cell.source.digest, fmap)
 
 
+@single_precision
 def load_map(path: Path | str, cell: Workcell) -> FeasibilityMap:
     """Read a map.
 

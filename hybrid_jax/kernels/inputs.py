@@ -53,11 +53,34 @@ def pose(name: str, value, cell) -> None:
         )
 
 
+def single_precision(function: Callable) -> Callable:
+    """Decorator: run in single precision, whatever `jax_enable_x64` says.
+
+    The kernels' arrays are float32. With x64 on, constants and inputs would be float64, and loops
+    whose carry changes its type are refused.
+    """
+
+    @functools.wraps(function)
+    def run(*args, **kwargs):
+        if not jax.config.jax_enable_x64:
+            return function(*args, **kwargs)
+        args, kwargs = jax.tree.map(_single, (args, kwargs))
+        with jax.enable_x64(False):
+            return function(*args, **kwargs)
+
+    return run
+
+
+def _single(leaf):
+    wide = isinstance(leaf, jax.Array | np.ndarray) and leaf.dtype in (np.float64, np.int64)
+    return leaf.astype(np.float32 if leaf.dtype == np.float64 else np.int32) if wide else leaf
+
+
 def checks(**kinds: Callable) -> Callable:
-    """Decorator: check the named arguments; None is left alone."""
+    """Decorator: check the named arguments, None is left alone; run in single precision."""
 
     def wrap(function):
-        names = list(inspect.signature(function).parameters)
+        names, run = list(inspect.signature(function).parameters), single_precision(function)
 
         @functools.wraps(function)
         def checked(*args, **kwargs):
@@ -65,7 +88,7 @@ def checks(**kinds: Callable) -> Callable:
             for name, kind in kinds.items():
                 if given.get(name) is not None:
                     kind(name, given[name], given.get("cell"))
-            return function(*args, **kwargs)
+            return run(*args, **kwargs)
 
         return checked
 

@@ -17,8 +17,9 @@ from hybrid_jax.planner.checking import Engine
 from hybrid_jax.planner.finishing import find_faults, time_path
 from hybrid_jax.planner.labelling import find_candidates
 from hybrid_jax.planner.records import Planner, PlanResult
-from hybrid_jax.planner.refusing import admit
+from hybrid_jax.planner.refusing import admit, kernels_touch
 from hybrid_jax.planner.scenes import inside, task_scenes
+from hybrid_jax.planner.turns import plan_in_turns
 from hybrid_jax.skills.task import Task
 from hybrid_jax.types import Scene, Source, Status
 
@@ -27,11 +28,19 @@ def joint_agent_only(planner: Planner, task: Task, *, key) -> PlanResult:
     """Plan a task with the planner's bridger alone; checked like every plan."""
     if planner.bridge is None:
         raise InputError("the planner has no bridger")
+    return plan_in_turns(planner.cell, [task], lambda near: [_plan(planner, near[0], key)])[0]
+
+
+def _plan(planner: Planner, task: Task, key) -> PlanResult:
     engine = Engine(planner.cell, planner.config.check)
     task, note, refusal = admit(planner.cell, engine, task)
     if refusal:
         return refusal
     scenes = task_scenes(planner.cell, task)
+    touched = kernels_touch(inside(planner.cell, scenes, 0), task.start)
+    if touched:
+        detail = f"the arm collides where it stands: {touched}"
+        return PlanResult(Status.START_INVALID, detail)
     phases, start = [], np.asarray(task.start)
     for phase in range(len(task.phases)):
         key_phase = fold_in(key, phase)

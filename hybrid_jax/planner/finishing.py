@@ -19,13 +19,11 @@ from hybrid_jax.planner.bridging import Way
 from hybrid_jax.planner.checking import PhaseScene
 from hybrid_jax.planner.combining import PhasePath, Window
 from hybrid_jax.planner.records import Planner
+from hybrid_jax.planner.refusing import PROVEN
 from hybrid_jax.planner.routing import Leg
 from hybrid_jax.planner.scenes import inside, phase_scene, segment_kinds
 from hybrid_jax.skills.task import Task
 from hybrid_jax.types import Scene, Status, Trajectory, Workcell
-
-PROVEN = 1e-4
-"""A motion that comes this close to a contact is not proven free [m]."""
 
 
 @dataclass(frozen=True)
@@ -116,6 +114,8 @@ def time_path(
     tool_speed: float = np.inf,
 ) -> Trajectory | None:
     """Smooth and time a joint path; None if it keeps no margin."""
+    if timing.is_resting(q):
+        return timing.resting(q[0], q[-1], int(sources[-1]))
     smoothed = smoothing.smooth(cell, q, sources, smoothness)
     return smoothed and timing.time_parameterize(cell, [smoothed], speed, [tool_speed])[0]
 
@@ -224,7 +224,11 @@ def _moving(
     kept = {int(i): path for i, path in zip(rows, smooth, strict=True) if path is not None}
     speeds = [drafts[i].task.tool_speed(drafts[i].number) for i in kept]
     timed = timing.time_parameterize(planner.cell, list(kept.values()), config.timing, speeds)
-    return {i: motion for i, motion in zip(kept, timed, strict=True) if motion is not None}
+    found = {i: motion for i, motion in zip(kept, timed, strict=True) if motion is not None}
+    for i, (q, sources) in paths.items():
+        if timing.is_resting(q):
+            found[i] = timing.resting(q[0], q[-1], int(sources[-1]))
+    return found
 
 
 def _proven(

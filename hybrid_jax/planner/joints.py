@@ -11,15 +11,17 @@ import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
 from hybrid_jax.kernels.edges import path_is_free
+from hybrid_jax.kernels.inputs import single_precision
 from hybrid_jax.keys import fold_in
 from hybrid_jax.planner import smoothing
 from hybrid_jax.planner.checking import CheckConfig, Engine, PhaseScene
 from hybrid_jax.planner.finishing import motion_faults, time_path
 from hybrid_jax.planner.records import PlanResult
-from hybrid_jax.planner.refusing import within_limits
+from hybrid_jax.planner.refusing import kernels_touch, within_limits
 from hybrid_jax.planner.scenes import home_scene, in_scene
 from hybrid_jax.planner.smoothing import SmoothingConfig
-from hybrid_jax.planner.timing import TimingConfig
+from hybrid_jax.planner.timing import RESTING, TimingConfig, resting
+from hybrid_jax.planner.turns import nearest_goal, rewound, turns_from, unlimited
 from hybrid_jax.rrt import RrtConfig, plan_paths
 from hybrid_jax.types import Source, Status, Workcell
 
@@ -65,7 +67,10 @@ def find_path(
 
 
 def _admit(engine: Engine, cell: Workcell, scene: PhaseScene, start, goal):
-    """Start and goal as they can be planned, what was changed, and a refusal or None."""
+    """Start and goal as they can be planned, what was changed, and a refusal or None.
+
+    Both judges are asked: C MuJoCo, and the kernels, whose primitives contain what they stand for.
+    """
     ends, notes = [], []
     statuses = (("start", Status.START_INVALID), ("goal", Status.INVALID_TASK))
     for (name, status), q in zip(statuses, (start, goal), strict=True):
@@ -77,12 +82,13 @@ def _admit(engine: Engine, cell: Workcell, scene: PhaseScene, start, goal):
     for name, status, q in (
         ("start", Status.START_INVALID, ends[0]), ("goal", Status.TASK_INFEASIBLE, ends[1]),
     ):  # fmt: skip
-        touched = engine.collision(q)
+        touched = engine.collision(q) or kernels_touch(cell, q)
         if touched:
             return ends, "", PlanResult(status, f"the {name} is not free: {touched}")
     return ends, " ".join(filter(None, notes)), None
 
 
+@single_precision
 def plan_joint_motion(
     cell: Workcell,
     start: Float[np.ndarray, "n"],
@@ -96,37 +102,63 @@ def plan_joint_motion(
 
     Args:
         cell: any cell; the scene that it is in does not matter.
-        start: `[joint]` [rad].
-        goal: `[joint]` [rad].
+        start: `[joint]` [rad or m]; joints without limits may have any reading.
+        goal: `[joint]` [rad or m]; joints without limits go the shorter way to it.
         config: settings.
         key: consumed.
         scene: where objects and fingers are, what is held; as in the model's keyframe `home` if
             None.
 
     Returns:
-        One trajectory of way points `[point, joint]` [rad] if the status is OK; it has passed the
-        same final check as every plan. Bad ends raise nothing: the status says which is at fault.
+        One trajectory of way points `[point, joint]` [rad or m] if the status is OK; it has passed
+        the same final check as every plan. At rest where start and goal are the same. Bad ends
+        raise nothing: the status says which is at fault.
     """
     engine, scene = Engine(cell, config.check), scene or home_scene(cell)
-    ends, note, refusal = _admit(engine, cell, scene, start, goal)
+    inside = in_scene(cell, scene)
+    start, goal, turns = _near_zero(cell, start, goal)
+    ends, note, refusal = _admit(engine, inside, scene, start, goal)
     if refusal:
         return refusal
     start, goal = ends
-    inside = in_scene(cell, scene)
-    path = find_path(inside, start, goal, config, key)
+    found = _plan_between(inside, engine, scene, start, goal, config, key)
+    if found.status is Status.OK:
+        found = replace(found, detail=f"{found.detail} {note}".strip())
+    return rewound(cell, found, turns) or found
+
+
+def _near_zero(cell: Workcell, start, goal) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Both ends where joints without limits start within half a turn of zero and go the shorter
+    way; and the turns that were taken off."""
+    start, goal = np.asarray(start, float), np.asarray(goal, float)
+    if start.shape != cell.home.shape or goal.shape != start.shape:
+        return start, goal, np.zeros(1)  # for `within_limits` to refuse
+    if not (np.isfinite(start) & np.isfinite(goal)).all():
+        return start, goal, np.zeros(1)
+    turns = np.where(unlimited(cell), turns_from(cell, start, 0 * start), 0.0)
+    return start - turns, nearest_goal(cell, start - turns, goal), turns
+
+
+def _plan_between(
+    cell: Workcell, engine: Engine, scene: PhaseScene, start, goal, config: JointMotionConfig, key
+) -> PlanResult:
+    """A checked motion between two free configurations."""
+    if np.abs(goal - start).max() < RESTING:
+        return PlanResult(Status.OK, Status.OK.sentence, [resting(start, goal, Source.RRT)])
+    path = find_path(cell, start, goal, config, key)
     if path is None:
         detail = f"no path was found from start to goal in {len(config.searches)} searches"
-        return PlanResult(Status.DRL_TIMEOUT, detail)
+        return PlanResult(Status.NO_PATH, detail)
     path = np.concatenate([start[None], path[1:-1], goal[None]])
-    short = smoothing.shortcut(inside, path, config.smoothing.margin, config.smoothing)
+    short = smoothing.shortcut(cell, path, config.smoothing.margin, config.smoothing)
     found = PlanResult(Status.SEAM_FAILED, Status.SEAM_FAILED.sentence)
     for way in (short, path):
         marks = np.full(len(way), Source.RRT, np.uint8)
-        trajectory = time_path(inside, way, marks, config.smoothing, config.timing)
+        trajectory = time_path(cell, way, marks, config.smoothing, config.timing)
         if trajectory is None:
             continue
-        faults = motion_faults(inside, engine, scene, trajectory)
+        faults = motion_faults(cell, engine, scene, trajectory)
         if not faults:
-            return PlanResult(Status.OK, f"{Status.OK.sentence} {note}".strip(), [trajectory])
+            return PlanResult(Status.OK, Status.OK.sentence, [trajectory])
         found = PlanResult(Status.COLLISION, "; ".join(faults))
     return found

@@ -11,6 +11,7 @@ from hybrid_jax import artifacts
 from hybrid_jax.agents import dqn, joint, networks, switching
 from hybrid_jax.errors import RunFolderError
 from hybrid_jax.feasibility.building import load_map
+from hybrid_jax.kernels.inputs import single_precision
 from hybrid_jax.planner.lfd import SkillChooser, optimal_chooser
 from hybrid_jax.planner.records import Planner, Switcher
 from hybrid_jax.runfolder import Run
@@ -70,6 +71,7 @@ def load_chooser(run: Run) -> SkillChooser:
     return dqn.make_chooser(run.preset.dqn, jax.tree.map(jnp.asarray, state))
 
 
+@single_precision
 def load_planner(run: Run, *, switch: str = "learned") -> Planner:
     """The planner of a run; needs its map and drl stages, and those of the agents it plans with.
 

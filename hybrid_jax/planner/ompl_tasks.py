@@ -13,6 +13,7 @@ from hybrid_jax.planner.labelling import find_candidates
 from hybrid_jax.planner.ompl_paths import OmplPlanner
 from hybrid_jax.planner.records import Planner, PlanResult
 from hybrid_jax.planner.scenes import inside, phase_scene, segment_kinds, task_scenes
+from hybrid_jax.planner.turns import plan_in_turns
 from hybrid_jax.skills.task import Task
 from hybrid_jax.types import Source, Status
 
@@ -78,9 +79,12 @@ class OmplTasks:
 
     def plan(self, task: Task, key) -> PlanResult:
         """Plan, then smooth and time as far as it goes; solved is what OMPL finds a path for."""
+        return plan_in_turns(self.planner.cell, [task], lambda near: [self._plan(near[0], key)])[0]
+
+    def _plan(self, task: Task, key) -> PlanResult:
         paths = self.way_points(task, key)
         if paths is None:
-            return PlanResult(Status.DRL_TIMEOUT, "OMPL found no path in time")
+            return PlanResult(Status.NO_PATH, "OMPL found no path in time")
         scenes, phases = task_scenes(self.planner.cell, task), []
         for number, (low, high) in enumerate(task.phases):
             cell = inside(self.planner.cell, scenes, low)

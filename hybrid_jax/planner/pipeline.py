@@ -9,8 +9,12 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
 
+import jax
+import numpy as np
 from jax import Array
 
+from hybrid_jax.kernels.edges import clearances_in_scenes
+from hybrid_jax.kernels.inputs import single_precision
 from hybrid_jax.keys import fold_in, split
 from hybrid_jax.planner.bridging import Way, bridge_gaps, rrt_bridger
 from hybrid_jax.planner.checking import Engine
@@ -18,13 +22,17 @@ from hybrid_jax.planner.finishing import Draft, Fault, finish_phases
 from hybrid_jax.planner.harvest import gap_segment
 from hybrid_jax.planner.lfd import SkillPath, skill_paths
 from hybrid_jax.planner.records import Planner, PlanResult
-from hybrid_jax.planner.refusing import admit, why_infeasible
+from hybrid_jax.planner.refusing import admit, too_close, why_infeasible
 from hybrid_jax.planner.routing import Leg, Routes, label_paths
 from hybrid_jax.planner.scenes import task_scenes
+from hybrid_jax.planner.turns import plan_in_turns
 from hybrid_jax.skills.task import Task
 from hybrid_jax.types import Scene, Status, Trajectory
 
-SEARCHED = {Status.TASK_INFEASIBLE, Status.DRL_TIMEOUT, Status.SEAM_FAILED, Status.COLLISION}
+SEARCHED = {
+    Status.TASK_INFEASIBLE, Status.DRL_TIMEOUT, Status.NO_PATH, Status.SEAM_FAILED,
+    Status.COLLISION,
+}  # fmt: skip
 """What a search may end with that did not look far enough."""
 PARTS, LEAST_PART = 2, 16
 """Parts of a batch that are planned side by side, and the tasks that one must have."""
@@ -74,6 +82,7 @@ def plan_motion(planner: Planner, task: Task, *, key: Array) -> PlanResult:
     return plan_batch(planner, [task], key=key)[0]
 
 
+@single_precision
 def plan_batch(planner: Planner, tasks: Sequence[Task], *, key: Array) -> list[PlanResult]:
     """Plan several tasks at once.
 
@@ -88,6 +97,13 @@ def plan_batch(planner: Planner, tasks: Sequence[Task], *, key: Array) -> list[P
     Returns:
         One result for each task, see `plan_motion`.
     """
+    return plan_in_turns(
+        planner.cell, list(tasks), lambda near: _plan_parts(planner, near, key)
+    )
+
+
+def _plan_parts(planner: Planner, tasks: Sequence[Task], key: Array) -> list[PlanResult]:
+    """Plan a batch in so many parts as it is large enough for."""
     count = max(1, min(PARTS, len(tasks) // LEAST_PART))
     parts = [tasks[i::count] for i in range(count)]
     if count == 1:
@@ -98,6 +114,7 @@ def plan_batch(planner: Planner, tasks: Sequence[Task], *, key: Array) -> list[P
     return [found[i % count][i // count] for i in range(len(tasks))]
 
 
+@single_precision
 def _plan_part(planner: Planner, tasks: Sequence[Task], key: Array) -> list[PlanResult]:
     """A quick look at all tasks, then a thorough one at those that it leaves without a plan."""
     config = planner.config
@@ -141,6 +158,11 @@ def prepare(
             results[number] = refusal
         else:
             admitted[number] = task, note
+    scenes = {i: task_scenes(planner.cell, task) for i, (task, _) in admitted.items()}
+    for number, touched in starts_touch(planner, admitted, scenes).items():
+        detail = f"the arm collides where it stands: {touched}"
+        results[number] = PlanResult(Status.START_INVALID, detail)
+        del admitted[number]
     # Alg. 1, l. 28: call Algorithm 2 to calculate the task-space trajectory traj_LfD
     found = skill_paths(
         planner.library, [task for task, _ in admitted.values()], planner.choose,
@@ -154,11 +176,29 @@ def prepare(
             missing = "; ".join(str(m) for m in paths[0].missing)
             detail = f"record a demonstration for {missing}"
             results[number] = PlanResult(Status.NEED_DEMO, detail)
-    return results, _label(planner, covered, key)
+    return results, _label(planner, covered, scenes, key)
+
+
+def starts_touch(
+    planner: Planner, tasks: dict[int, tuple[Task, str]], scenes: dict[int, Scene]
+) -> dict[int, str]:
+    """What the kernels find wrong with the starts of tasks, by their numbers."""
+    if not tasks:
+        return {}
+    firsts = [jax.tree.map(lambda a: a[0], scenes[i]) for i in tasks]
+    gaps = clearances_in_scenes(
+        planner.cell, jax.tree.map(lambda *a: np.stack(a), *firsts), np.arange(len(tasks)),
+        np.stack([np.asarray(task.start, float) for task, _ in tasks.values()]),
+    )  # fmt: skip
+    found = {i: too_close(float(gap)) for i, gap in zip(tasks, gaps, strict=True)}
+    return {i: touched for i, touched in found.items() if touched}
 
 
 def _label(
-    planner: Planner, covered: list[tuple[int, Task, str, SkillPath]], key: Array
+    planner: Planner,
+    covered: list[tuple[int, Task, str, SkillPath]],
+    scenes_of: dict[int, Scene],
+    key: Array,
 ) -> dict[int, Job]:
     """Alg. 1, l. 32-34: inverse kinematics; which segments are feasible (FJ) and which are not.
 
@@ -170,7 +210,7 @@ def _label(
         numbers, tasks, notes, paths = zip(
             *(row for row, other in zip(covered, kinds, strict=True) if other == kind), strict=True
         )
-        scenes = [task_scenes(planner.cell, task) for task in tasks]
+        scenes = [scenes_of[number] for number in numbers]
         found = label_paths(
             planner.cell, list(tasks), scenes, [path.poses for path in paths],
             planner.scale, fold_in(key, kind[0]), planner.config.labels,
@@ -207,9 +247,19 @@ def bridge_jobs(planner: Planner, fallback, jobs: list[Job], key: Array) -> None
             job.ways[leg.name] = way
             continue
         start, end = leg.name[0], leg.name[0] + 1
-        job.status = Status.DRL_TIMEOUT
-        job.detail = f"key pose {start} to {end}: {Status.DRL_TIMEOUT.sentence}"
+        job.status, job.detail = why_unbridged(planner, fallback, start, end)
         job.routes.forbid(leg.name)
+
+
+def why_unbridged(planner: Planner, fallback, start: int, end: int) -> tuple[Status, str]:
+    """Status and sentence where a gap between two key poses has not been bridged."""
+    where = f"key pose {start} to {end}: no way around an infeasible part of the skill's path"
+    if planner.bridge is None and fallback is None:
+        return Status.NO_PATH, f"{where}: nothing is there to look for one"
+    if planner.bridge is None:
+        return Status.NO_PATH, f"{where} was found by RRT-Connect"
+    also = " or RRT-Connect" if fallback else ""
+    return Status.DRL_TIMEOUT, f"{where} was found by the joint agent{also}"
 
 
 def finish_jobs(planner: Planner, engine: Engine, jobs: list[Job]) -> None:

@@ -5,15 +5,19 @@ from dataclasses import replace
 
 import numpy as np
 
+from hybrid_jax.kernels.edges import path_clearance
 from hybrid_jax.planner.checking import Engine
 from hybrid_jax.planner.records import PlanResult
 from hybrid_jax.planner.routing import Routes
 from hybrid_jax.planner.scenes import phase_scene, segment_kinds
+from hybrid_jax.planner.turns import unlimited
 from hybrid_jax.skills.task import Task
 from hybrid_jax.types import Status, Workcell
 
+PROVEN = 1e-4
+"""A configuration that comes this close to a contact is on no motion that is proven free [m]."""
 ROUNDING = 1e-3
-"""A start this far out of the limits is put back [rad]: encoders and messages round."""
+"""A start this far out of the limits is put back [rad or m]: encoders and messages round."""
 
 
 def _bad_numbers(cell: Workcell, task: Task) -> str | None:
@@ -36,17 +40,40 @@ def within_limits(cell: Workcell, q: np.ndarray, name: str) -> tuple[np.ndarray,
     low, high = np.asarray(cell.joint_limits).T
     if q.shape != low.shape or not np.isfinite(q).all():
         return q, "", f"the {name} must be {low.size} finite joint values, got {q!r}"
-    over = np.maximum(low - q, q - high)
+    over = np.where(unlimited(cell), 0.0, np.maximum(low - q, q - high))
     worst = int(np.argmax(over))
     if over[worst] <= 0:
         return q, "", ""
+    unit = cell.joint_units[worst]
     sentence = (
-        f"the {name}: {cell.joint_names[worst]} is at {q[worst]:.6f}, {over[worst]:.2g} rad "
-        f"outside its limits {low[worst]:.4f} to {high[worst]:.4f}"
+        f"the {name}: {cell.joint_names[worst]} is at {q[worst]:.6f} {unit}, {over[worst]:.2g} "
+        f"{unit} outside its limits {low[worst]:.4f} to {high[worst]:.4f}"
     )
     if over[worst] > ROUNDING:
         return q, "", sentence
-    return np.clip(q, low, high), f"({sentence}: put back to the limit)", ""
+    put_back = np.where(unlimited(cell), q, np.clip(q, low, high))
+    return put_back, f"({sentence}: put back to the limit)", ""
+
+
+def kernels_touch(cell: Workcell, q: np.ndarray) -> str | None:
+    """What the kernels find wrong with a configuration, in words; None if nothing.
+
+    Args:
+        cell: in the scene.
+        q: `[joint]` [rad or m].
+    """
+    return too_close(float(path_clearance(cell, np.asarray(q, float)[None])[0]))
+
+
+def too_close(gap: float) -> str | None:
+    """What a clearance of the kernels means where C MuJoCo sees no contact; None if it is enough.
+
+    Their primitives contain what they stand for, and see a capsule right through a thin box.
+    """
+    if gap >= PROVEN:
+        return None
+    how = f"overlap by {-1e3 * gap:.1f} mm" if gap < 0 else f"leave {1e3 * gap:.2f} mm only"
+    return f"C MuJoCo sees no contact, but the kernels' primitives {how}"
 
 
 def admit(cell: Workcell, engine: Engine, task: Task) -> tuple[Task, str, PlanResult | None]:

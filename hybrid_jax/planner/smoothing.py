@@ -164,7 +164,9 @@ def _resampled(q: np.ndarray, sources: np.ndarray, config: SmoothingConfig) -> M
     moved = np.concatenate([[True], np.abs(np.diff(q, axis=0)).max(axis=1) > 1e-5])
     moved[-1] = True
     q, sources = q[moved], sources[moved]
-    places = refine(q, min(config.spacing, max(1e-4, np.abs(np.diff(q, axis=0)).max() / 4)))
+    steps = np.abs(np.diff(q, axis=0)).max(axis=1)
+    # a way of a hair's breadth has some steps too: a spline needs them
+    places = refine(q, min(config.spacing, max(1e-4, steps.max() / 4), max(steps.sum() / 4, 1e-9)))
     return at_places(q, places), sources[np.round(places).astype(int)]
 
 

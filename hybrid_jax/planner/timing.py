@@ -35,6 +35,8 @@ WIDER = 0.08, 0.16, 0.32
 used."""
 ROUNDS = 4
 """Times that a motion is slowed where it exceeds a limit; what is left slows the whole of it."""
+RESTING = 1e-5
+"""A path that leads no further takes no time [rad or m]."""
 LEFT = 1.003
 """An excess that is not worth another round."""
 
@@ -180,6 +182,18 @@ class _Path:
         at = np.interp(profile.place, self.knots, np.arange(len(self.knots)))
         marks = self.sources[np.round(at).astype(int)]
         return Trajectory(profile.times, positions, velocities, accelerations, marks)
+
+
+def is_resting(q: np.ndarray) -> bool:
+    """Is there nothing to do along a path `[point, joint]`?"""
+    return bool(np.ptp(q, axis=0).max() < RESTING)
+
+
+def resting(start: np.ndarray, end: np.ndarray, source: int) -> Trajectory:
+    """A trajectory where there is nothing to do: at rest, the two configurations being one."""
+    still = np.zeros((2, len(start)))
+    times, sources = np.array([0.0, WHOLE]), np.full(2, source, np.uint8)
+    return Trajectory(times, np.stack([start, end]).astype(float), still, still.copy(), sources)
 
 
 def _reach(cell: Workcell) -> np.ndarray:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import jax
 import numpy as np
 
+from hybrid_jax.kernels.inputs import single_precision
 from hybrid_jax.keys import fold_in
 from hybrid_jax.planner.records import Planner, PlanResult
 from hybrid_jax.simulation.disturbances import CALM, Disturbance, disturbed_model
@@ -74,6 +75,7 @@ def planning(planner: Planner, plan_batch: Callable[..., list[PlanResult]], seed
     return lambda tasks: plan_batch(planner, tasks, key=fold_in(key, next(numbers)))
 
 
+@single_precision
 def sort_scenes(
     cell: Workcell,
     plan: Planning,
@@ -128,6 +130,7 @@ def sort_scene(
     return sort_scenes(cell, plan, [seed], names)[0]
 
 
+@single_precision
 def execute(
     cell: Workcell,
     task: Task,

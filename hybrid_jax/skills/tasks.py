@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from hybrid_jax.errors import TaskError
+from hybrid_jax.kernels.inputs import single_precision
 from hybrid_jax.skills.handling import (
     handling_task,
     object_in_tool,
@@ -25,6 +26,7 @@ _MAKERS = {Handling: handling_task, Inspection: inspection_task}
 _RANDOM = {Handling: random_handling_task, Inspection: random_inspection_task}
 
 
+@single_precision
 def make_task(cell: Workcell, object_name: str, object_poses: np.ndarray) -> Task:
     """What the cell's data say is to be done with an object, from home.
 
@@ -43,6 +45,7 @@ def make_task(cell: Workcell, object_name: str, object_poses: np.ndarray) -> Tas
     return _MAKERS[type(require_task_data(cell))](cell, object_name, object_poses)
 
 
+@single_precision
 def random_task(cell: Workcell, seed: int) -> Task:
     """One object of a random scene."""
     return _RANDOM[type(require_task_data(cell))](cell, seed)
@@ -77,6 +80,7 @@ def task_values(task: Task) -> dict:
     }
 
 
+@single_precision
 def read_task(cell: Workcell, path: Path | str) -> Task:
     """Read a task file: JSON with `object`, and `scene_seed` or `object_poses`.
 

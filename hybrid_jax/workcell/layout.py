@@ -24,6 +24,8 @@ class Layout:
     joint_names: tuple[str, ...]
     joint_units: tuple[str, ...]
     """Unit of each arm joint's value: rad of a hinge, m of a slide."""
+    unlimited: tuple[bool, ...]
+    """Is the arm joint a hinge without limits?"""
     joints: tuple[int, ...]
     """Joints of the arm, from the base to the tool."""
     qpos: tuple[int, ...]
@@ -97,7 +99,8 @@ def _refuse_couplings(model: mujoco.MjModel, joints: tuple[int, ...]) -> None:
     """
     links = _links(model, joints)
     for e in np.flatnonzero(model.eq_active0):
-        kind, first, second = int(model.eq_type[e]), int(model.eq_obj1id[e]), int(model.eq_obj2id[e])
+        kind = int(model.eq_type[e])
+        first, second = int(model.eq_obj1id[e]), int(model.eq_obj2id[e])
         if kind == _EQ.mjEQ_JOINT:
             named = [j for j in (first, second) if j in joints]
             what = " and ".join(
@@ -185,6 +188,9 @@ def find_layout(model: mujoco.MjModel, task: TaskData | None, tool: str = "") ->
     return Layout(
         joint_names=tuple(_name(model, mujoco.mjtObj.mjOBJ_JOINT, j) for j in joints),
         joint_units=tuple("rad" if model.jnt_type[j] == _HINGE else "m" for j in joints),
+        unlimited=tuple(
+            bool(model.jnt_type[j] == _HINGE and not model.jnt_limited[j]) for j in joints
+        ),
         joints=joints,
         qpos=tuple(int(model.jnt_qposadr[j]) for j in joints),
         dofs=tuple(int(model.jnt_dofadr[j]) for j in joints),

@@ -11,6 +11,7 @@ import numpy as np
 
 from hybrid_jax.compilecache import enable_compile_cache
 from hybrid_jax.errors import HybridJaxError, WorkcellError
+from hybrid_jax.kernels.inputs import single_precision
 from hybrid_jax.quiet import engine_messages
 from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.assets import find_workcell
@@ -109,6 +110,7 @@ def read_model(
     return model
 
 
+@single_precision
 def load_workcell(
     name_or_path: str | Path,
     *,

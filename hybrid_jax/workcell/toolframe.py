@@ -14,7 +14,9 @@ TOOL = "tool"
 """Name of the site that is added where a body is the tool."""
 USUAL = ("tool", "tcp", "tool0", "grasp_site", "pinch", "attachment_site")
 """Names of tool frames, the first of them that there is."""
-_LIKE = re.compile(r"tcp|tool_?cent|tool0|pinch|grasp|attachment|end_?eff|eef|ee_?(site|link)$|wrist_?site")
+_LIKE = re.compile(
+    "tcp|tool_?cent|tool0|pinch|grasp|attachment|end_?eff|eef|ee_?(site|link)$|wrist_?site"
+)
 """Parts of names that vendors give to tool frames."""
 _FINGER = re.compile(r"finger|jaw|knuckle|thumb|gripper")
 """Parts of names of what a gripper moves."""
@@ -102,8 +104,8 @@ def _arm_end(spec: mujoco.MjSpec) -> str:
     arm = [b for b in moving if b not in fingers and not _below(b, fingers)]
     last = [b for b in arm if not any(_below(other, [b]) for other in arm)]
     if len(last) > 1 or not last:
-        raise WorkcellError(_ambiguous("links", sorted({b.parent.name for b in last} - {"world", ""})
-                                       + [b.name for b in last or moving]))  # fmt: skip
+        above = sorted({b.parent.name for b in last} - {"world", ""})
+        raise WorkcellError(_ambiguous("links", above + [b.name for b in last or moving]))
     if fingers and not all(any(j.name in coupled for j in b.joints) for b in fingers):
         # only their names say that these are a gripper's
         raise WorkcellError(_ambiguous("links", [last[0].name, *(b.name for b in fingers)]))
