@@ -5,7 +5,6 @@ The optional extra `bench` installs PyBullet; without it its rows are left out, 
 """
 
 import multiprocessing
-import os
 import time
 import warnings
 
@@ -86,7 +85,7 @@ def _sweep_part(job) -> float:
 
 def mujoco_all_cores(cell: Workcell, q: np.ndarray) -> float:
     """Configurations per second of one engine per core, each in a process of its own."""
-    cores = len(os.sched_getaffinity(0))
+    cores = usable_cores()
     jobs = [(cell.source.name, part) for part in np.array_split(q, cores)]
     with multiprocessing.get_context("spawn").Pool(cores) as pool:
         return len(q) / max(pool.map(_sweep_part, jobs, chunksize=1))

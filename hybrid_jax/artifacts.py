@@ -14,6 +14,7 @@ import numpy as np
 from flax import serialization, traverse_util
 
 from hybrid_jax.errors import RunFolderError
+from hybrid_jax.inputfiles import read_arrays
 
 FORMAT = 1
 _HEADER = "__header__"
@@ -42,14 +43,28 @@ def save(path: Path, kind: str, digest: str, tree: Any, **header) -> None:
     try:
         np.savez_compressed(partial, **{_HEADER: np.array(json.dumps(head))}, **flat)
         os.replace(partial, path)
-    except OSError:
+    except OSError as error:
         partial.unlink(missing_ok=True)  # on a full disk it is in the way of what is to be saved
-        raise
+        raise _named(error, path) from None
 
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file, making its folder if need be; what was there before stays until then."""
     write_bytes(path, text.encode())
+
+
+def write_new(path: Path, text: str) -> None:
+    """Write a text file that is not there yet, as a whole; of two processes, one can.
+
+    Raises:
+        FileExistsError: it is there.
+    """
+    partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
+    partial.write_text(text)
+    try:
+        os.link(partial, path)
+    finally:
+        partial.unlink()
 
 
 def write_bytes(path: Path, content: bytes) -> None:
@@ -59,9 +74,14 @@ def write_bytes(path: Path, content: bytes) -> None:
     try:
         partial.write_bytes(content)
         os.replace(partial, path)
-    except OSError:
+    except OSError as error:
         partial.unlink(missing_ok=True)
-        raise
+        raise _named(error, path) from None
+
+
+def _named(error: OSError, path: Path) -> OSError:
+    """The same error, with the file that was to be written."""
+    return OSError(error.errno, error.strerror or str(error), str(path))
 
 
 def load(path: Path, kind: str, digest: str | None) -> tuple[dict, dict]:
@@ -74,6 +94,8 @@ def load(path: Path, kind: str, digest: str | None) -> tuple[dict, dict]:
         raise RunFolderError(f"{path} is missing")
     try:
         header, flat = _parts(path)
+    except RunFolderError:
+        raise
     except Exception as error:  # noqa: BLE001  zip, zlib and NumPy each have their own for damage
         raise RunFolderError(f"{path} is damaged or not one of our files: {error}") from None
     if header.get("format") != FORMAT or header.get("kind") != kind:
@@ -90,8 +112,7 @@ def load(path: Path, kind: str, digest: str | None) -> tuple[dict, dict]:
 
 def _parts(path: Path) -> tuple[dict, dict]:
     """Header and nested arrays of a file, whatever is wrong with it."""
-    with np.load(path, allow_pickle=False) as file:
-        flat = {name: file[name] for name in file.files}
+    flat = read_arrays(path, RunFolderError)
     header = json.loads(str(flat.pop(_HEADER)))
     if not isinstance(header.get("workcell"), str):
         raise ValueError("its header names no work cell")

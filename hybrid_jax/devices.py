@@ -10,6 +10,8 @@ import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from hybrid_jax.errors import DeviceError
+
 
 def use_all_cores() -> None:
     """Make every core a JAX device, where there is no accelerator.
@@ -19,7 +21,30 @@ def use_all_cores() -> None:
     raised.
     """
     with contextlib.suppress(RuntimeError):
-        jax.config.update("jax_num_cpu_devices", len(os.sched_getaffinity(0)))
+        jax.config.update("jax_num_cpu_devices", usable_cores())
+
+
+def usable_cores() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):  # Linux alone
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def require_device() -> None:
+    """Make sure that JAX has a device of a kind that it may use.
+
+    Raises:
+        DeviceError: JAX_PLATFORMS names none that this machine has.
+    """
+    try:
+        jax.devices()
+    except (RuntimeError, AssertionError) as error:  # the latter without a word, for lack of CUDA
+        asked = jax.config.jax_platforms
+        raise DeviceError(
+            f"JAX has no device of the platforms {asked!r} that JAX_PLATFORMS asks for"
+            f"{f' ({error})' if str(error) else ''}; JAX_PLATFORMS=cpu uses the processor"
+        ) from None
 
 
 def vector_options() -> dict[str, int] | None:

@@ -2,6 +2,15 @@
 """What can go wrong on the host. Messages name the offender and what would be right."""
 
 
+LONGEST = 300
+"""Characters of a value that a message repeats."""
+
+
+def shortened(text: str) -> str:
+    """A value for a message: an endless one is cut."""
+    return text if len(text) <= LONGEST else f"{text[:LONGEST]}... ({len(text):,} characters)"
+
+
 class HybridJaxError(Exception):
     """Base of every error that this package raises on purpose."""
 
@@ -15,11 +24,15 @@ class UnknownNameError(HybridJaxError):
 
     def __init__(self, kind: str, name: object, known):
         listed = ", ".join(sorted(map(str, known))) or "none"
-        super().__init__(f"unknown {kind} {str(name)!r}; there are: {listed}")
+        super().__init__(f"unknown {kind} {shortened(repr(str(name)))}; there are: {listed}")
 
 
 class WorkcellError(HybridJaxError):
     """A work cell that cannot be planned in: the message names the geom, joint or body."""
+
+
+class DeviceError(HybridJaxError):
+    """JAX has no device of the kind that was asked for."""
 
 
 class RunFolderError(HybridJaxError):

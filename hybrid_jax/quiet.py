@@ -5,12 +5,15 @@ import contextlib
 import io
 import re
 import sys
+import threading
 from collections.abc import Iterator
 
 import mujoco
 
 _HARMLESS = re.compile("Attaching a spec with an empty prefix")
 
+_one_at_a_time = threading.RLock()
+"""MuJoCo has one handler of warnings for all threads, and its compiler is one at a time too."""
 _said: set[tuple[str, str]] = set()
 """Names of models and warnings: each is printed once, however often a model is read."""
 
@@ -26,11 +29,12 @@ def import_mjx() -> None:
 def engine_messages(name: str) -> Iterator[None]:
     """Print MuJoCo's warnings with the name of the cell they are about; drop the harmless ones."""
     heard = []
-    mujoco.set_mju_user_warning(heard.append)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(None)
+    with _one_at_a_time:
+        mujoco.set_mju_user_warning(heard.append)
+        try:
+            yield
+        finally:
+            mujoco.set_mju_user_warning(None)
         for text in heard:
             if not _HARMLESS.match(text) and (name, text) not in _said:
                 _said.add((name, text))

@@ -10,6 +10,7 @@ from typing import Any
 
 from hybrid_jax import artifacts
 from hybrid_jax.errors import RunFolderError, UnknownNameError
+from hybrid_jax.inputfiles import read_text
 from hybrid_jax.presets import PRESETS, Preset
 from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.load import load_workcell
@@ -87,6 +88,18 @@ def _metrics_of(line: str) -> dict | None:
     return row if sound else None
 
 
+def _new_folder(parent: Path, name: str) -> Path:
+    """Make the folder of the next run; two that begin at the same moment get one each."""
+    parent.mkdir(parents=True, exist_ok=True)
+    while True:
+        folder = _free_folder(parent, name)
+        try:
+            folder.mkdir()
+            return folder
+        except FileExistsError:  # somebody was quicker
+            continue
+
+
 def _free_folder(parent: Path, name: str) -> Path:
     taken = [
         int(p.name.rpartition("-")[2])
@@ -115,11 +128,7 @@ def create_run(
     if preset not in PRESETS:
         raise UnknownNameError("preset", preset, PRESETS)
     cell = load_workcell(workcell)
-    folder = out or _free_folder(Path("runs"), cell.source.name)
-    if (folder / "config.json").exists():
-        raise RunFolderError(
-            f"{folder} already holds a run; add --resume to go on with it, or choose another --out"
-        )
+    folder = out or _new_folder(Path("runs"), cell.source.name)
     folder.mkdir(parents=True, exist_ok=True)
     source = str(Path(workcell).resolve()) if Path(workcell).is_file() else workcell
     values = {
@@ -130,7 +139,12 @@ def create_run(
         "skills": str(skills.resolve()) if skills else None,
         "configuration": dataclasses.asdict(PRESETS[preset]),
     }
-    artifacts.write_text(folder / "config.json", json.dumps(values, indent=1))
+    try:
+        artifacts.write_new(folder / "config.json", json.dumps(values, indent=1))
+    except FileExistsError:
+        raise RunFolderError(
+            f"{folder} already holds a run; add --resume to go on with it, or choose another --out"
+        ) from None
     return Run(folder, cell, preset, seed, skills and skills.resolve(), source)
 
 
@@ -169,7 +183,7 @@ def read_config(folder: Path) -> dict:
     if not path.is_file():
         raise RunFolderError(f"{folder} is no run folder: {path.name} is missing")
     try:
-        values = json.loads(path.read_text())
+        values = json.loads(read_text(path, RunFolderError))
         values = {"skills": None} | values
         wrong = [k for k, kind in _CONFIG.items() if not isinstance(values[k], kind)]
     except (ValueError, KeyError, TypeError, RecursionError) as error:

@@ -18,6 +18,8 @@ import tyro
 from hybrid_jax.errors import HybridJaxError
 
 BAD_INPUT, DEFECT, STOPPED = 2, 70, 130
+MOST_SAID = 2000
+"""Characters of a message that are printed."""
 
 
 def remark(text: str) -> None:
@@ -48,7 +50,7 @@ def run_cli(command: Callable[[], int]) -> None:
     try:
         code = command()
     except HybridJaxError as error:
-        remark(f"error: {error}")
+        remark(f"error: {_cut(str(error))}")
         code = BAD_INPUT
     except KeyboardInterrupt:
         remark("\nstopped")
@@ -65,6 +67,10 @@ def run_cli(command: Callable[[], int]) -> None:
         remark("error: this is a defect of hybrid_jax; please report it with the lines above")
         code = DEFECT
     sys.exit(code)
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= MOST_SAID else f"{text[:MOST_SAID]}..."
 
 
 def run_main(main: Callable[..., int]) -> None:

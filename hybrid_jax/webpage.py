@@ -4,9 +4,10 @@
 import contextlib
 import threading
 import time
+import traceback
 from collections.abc import Callable
 
-from hybrid_jax.errors import HybridJaxError
+from hybrid_jax.errors import HybridJaxError, shortened
 from hybrid_jax.terminal import remark
 from hybrid_jax.webserver import address_of, close_server, open_server
 
@@ -53,19 +54,33 @@ class WebPage:
         try:
             with self._lock:
                 self.status.content = action()
-        except (HybridJaxError, OSError) as error:
-            self.status.content = f"**Not done:** {error}"
+        except Exception as error:  # noqa: BLE001 what a browser sends may be anything
+            self.status.content = f"**Not done:** {_sentence(error)}"
+
+    def unlocked(self, action: Callable[[], str]) -> None:
+        """The same for an action that takes long: other buttons need not wait for it."""
+        try:
+            self.status.content = action()
+        except Exception as error:  # noqa: BLE001
+            self.status.content = f"**Not done:** {_sentence(error)}"
 
     def _run(self) -> None:
         due = time.monotonic()
         while not self._closing.is_set():
             try:
                 self.tick()
-            except Exception as error:  # noqa: BLE001 a thread must not end without a word
-                self.status.content = f"**The page stopped moving:** {error!r}"
-                raise
+            except Exception as error:  # noqa: BLE001 the page goes on with its next tick
+                self.status.content = f"**Not moved:** {_sentence(error)}"
             due = max(due + 1 / self._rate, time.monotonic())
             time.sleep(max(0.0, due - time.monotonic()))
+
+
+def _sentence(error: Exception) -> str:
+    """What went wrong, for the page; what was not foreseen goes to the terminal as well."""
+    if isinstance(error, HybridJaxError | OSError):
+        return shortened(str(error))
+    remark("".join(traceback.format_exception(error)))
+    return f"a defect of hybrid_jax ({shortened(repr(error))}); the terminal says more"
 
 
 def serve(page: WebPage) -> None:

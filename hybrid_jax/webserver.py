@@ -5,11 +5,14 @@ import contextlib
 import http
 import io
 import ipaddress
+import socket
 from collections.abc import Iterator
 from urllib.parse import urlsplit
 
 import viser
 import websockets.asyncio.server
+
+from hybrid_jax.errors import InputError
 
 
 def _is_local(name: str | None) -> bool:
@@ -30,9 +33,12 @@ def is_own(origin: str | None, host: str | None, local: bool) -> bool:
         local: does the server listen at this machine's own address only? Then a foreign name in
             `host` is a page that had its name resolved to this machine (DNS rebinding).
     """
-    if local and not _is_local(urlsplit(f"//{host}").hostname):
+    try:
+        if local and not _is_local(urlsplit(f"//{host}").hostname):
+            return False
+        return origin is None or (host is not None and urlsplit(origin).netloc == host)
+    except ValueError:  # "[" begins an address that never ends
         return False
-    return origin is None or (host is not None and urlsplit(origin).netloc == host)
 
 
 @contextlib.contextmanager
@@ -63,7 +69,21 @@ def open_server(host: str, port: int, label: str) -> viser.ViserServer:
         host: address to listen at.
         port: the first one that is tried.
         label: title of the page.
+
+    Raises:
+        InputError: there is no such port, or this machine cannot listen at that address.
     """
+    if not 0 < port < 65536:
+        raise InputError(f"the port must be a number from 1 to 65535, got {port}")
+    try:
+        family = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0][0]
+        with socket.socket(family, socket.SOCK_STREAM) as trial:
+            trial.bind((host, 0))
+    except OSError as error:
+        raise InputError(
+            f"this machine cannot listen at {host!r} ({error.strerror or error}): name one of its "
+            "own addresses, or 0.0.0.0 for all of them"
+        ) from None
     # the constructor returns when the server listens; its banner would stand among our answers
     with _guarded(_is_local(host)), contextlib.redirect_stdout(io.StringIO()):
         return viser.ViserServer(host=host, port=port, label=label, verbose=False)

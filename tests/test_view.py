@@ -2,6 +2,7 @@
 """The view page: its parts by themselves, and the page in a real headless Chromium."""
 
 import json
+import threading
 import urllib.request
 
 import jax.numpy as jnp
@@ -10,14 +11,16 @@ import numpy as np
 import pytest
 from pages import choose, come_near, drag, open_tab, press, says, wait_for
 
-from hybrid_jax.errors import TaskError, WorkcellError
+from hybrid_jax.errors import InputError, TaskError, WorkcellError
 from hybrid_jax.feasibility.judging import Reason
 from hybrid_jax.kernels.collision import clearance
+from hybrid_jax.planner.records import PlanResult
 from hybrid_jax.planner.scenes import in_scene, phase_scene, segment_kinds
 from hybrid_jax.runfolder import open_run
 from hybrid_jax.skills.task import as_rows
 from hybrid_jax.skills.tasks import random_task, read_task, task_values, with_key_poses
-from hybrid_jax.webserver import is_own
+from hybrid_jax.types import Status
+from hybrid_jax.webserver import is_own, open_server
 from hybrid_jax.workcell.assets import robots_folder
 
 pytest.importorskip("viser")
@@ -113,6 +116,8 @@ def test_bad_task_files_are_refused_by_name(cell, tmp_path, values, message):
         ("http://robot.plant:8080", "robot.plant:8080", False, True),
         ("http://evil.example", "robot.plant:8080", False, False),
         ("null", "127.0.0.1:8080", True, False),
+        ("http://127.0.0.1:8080", "[", True, False),
+        ("http://[", "127.0.0.1:8080", True, False),
     ],
 )
 def test_origins(origin, host, local, own):
@@ -188,12 +193,94 @@ def test_a_scene_without_room_is_said_and_the_task_stays(page, monkeypatch):
     wait_for(lambda: page.status.content.startswith("Choose an object"))
 
 
-def test_a_task_is_built_planned_played_and_saved_in_the_browser(browser, page, tmp_path):
+@pytest.mark.parametrize("value", [-1, float("nan"), 1e308, "abc", None, 2**70])
+def test_what_is_no_scene_is_said_on_the_page(page, value):
+    before = page.task.task
+    page.task.scene.value = 0
+    wait_for(lambda: page.status.content.startswith("Choose an object"))
+    page.task.scene._impl.value = value  # as a browser sends it
+    page.guarded(page.task.reset)
+    assert "the scene must be a whole number" in page.status.content
+    assert page.task.task.object_name == before.object_name
+    page.task.scene._impl.value = 0
+    page.guarded(page.task.reset)
+
+
+@pytest.mark.parametrize("field, value", [("position", (np.nan, 0, 0)), ("wxyz", (0, 0, 0, 0))])
+def test_a_key_pose_that_is_no_place_is_put_back(page, field, value):
+    page.guarded(page.task.reset)
+    before = page.task.task
+    setattr(page.task._handles[1], field, value)
+    page.guarded(page.task._dragged)
+    assert "key pose 2 was dragged to" in page.status.content
+    assert page.task.task is before
+    rows = as_rows(before.key_poses[before.given])
+    np.testing.assert_allclose(page.task._handles[1].position, rows[1][:3], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "name", ["../x.json", "/tmp/x.json", "a/b.json", "x\0.json", ".json", "x.txt", "", "..json"]
+)
+def test_tasks_are_saved_in_one_folder_only(page, name):
+    page.guarded(lambda: page.task.save(page.run.path("tasks"), name))
+    assert "is no name for a task file" in page.status.content
+    page.guarded(lambda: page.task.save(page.run.path("tasks"), "twice.json"))
+    assert "Saved" in page.status.content or "there already" in page.status.content
+    page.guarded(lambda: page.task.save(page.run.path("tasks"), "twice.json"))
+    assert "is there already" in page.status.content
+
+
+def test_while_a_plan_is_made_presses_are_ignored_and_other_buttons_work(page, monkeypatch):
+    begun, go_on, calls = threading.Event(), threading.Event(), []
+
+    def slow(*_, **__):
+        calls.append(1)
+        begun.set()
+        assert go_on.wait(30)
+        return PlanResult(Status.NO_PATH, "none")
+
+    monkeypatch.setattr("hybrid_jax.view.page.plan_motion", slow)
+    presses = [threading.Thread(target=page._press_plan) for _ in range(40)]
+    presses[0].start()
+    assert begun.wait(60)
+    for press_again in presses[1:]:
+        press_again.start()
+        press_again.join(5)
+        assert not press_again.is_alive()
+    page.guarded(lambda: page.task.save(page.run.path("tasks"), "meanwhile.json"))
+    assert page.run.path("tasks").joinpath("meanwhile.json").is_file()
+    go_on.set()
+    presses[0].join(30)
+    assert calls == [1] and page.status.content == "**NO_PATH:** none"
+
+
+def test_the_page_goes_on_after_an_error(page, monkeypatch):
+    def broken():
+        raise ValueError("something")
+
+    monkeypatch.setattr(page, "tick", broken)
+    wait_for(lambda: page.status.content.startswith("**Not moved:** a defect"))
+    monkeypatch.undo()
+    assert page._thread.is_alive()
+
+
+@pytest.mark.parametrize(
+    "host, port, words",
+    [("127.0.0.1", 70000, "from 1 to 65535"), ("127.0.0.1", 0, "from 1 to 65535"),
+     ("203.0.113.7", 8300, "cannot listen at '203.0.113.7'")],
+)  # fmt: skip
+def test_addresses_that_cannot_be_listened_at_are_refused(host, port, words):
+    with pytest.raises(InputError, match=words):
+        open_server(host, port, "test")
+
+
+def test_a_task_is_built_planned_played_and_saved_in_the_browser(browser, page):
+    page.guarded(page.task.reset)
     browser.get(page.address)
     says(browser, "Choose an object")
     wait_for(lambda: list(page.server.get_clients().values()))
     choose(browser, "Object", "block_2")
-    wait_for(lambda: page.task.task.object_name == "block_2")
+    wait_for(lambda: page.task.task.object_name == "block_2" and len(page.task._handles) == 4)
     handle = page.task._handles[2]  # above the tray: nothing hides it
     before, began, turn = page.task.task, np.array(handle.position), np.array(handle.wxyz)
     come_near(page, began)
@@ -211,8 +298,8 @@ def test_a_task_is_built_planned_played_and_saved_in_the_browser(browser, page, 
     wait_for(lambda: page.playback.at.value > 0.5)
     says(browser, "clearance")
     press(browser, "Stop")
-    path = tmp_path / "mine.json"
-    page._name.value = str(path)
+    path = page.run.path("tasks") / "mine.json"
+    page._name.value = path.name
     press(browser, "Save task")
     wait_for(path.is_file)
     again = read_task(page.run.cell, path)

@@ -6,7 +6,6 @@ followed by which equalities are active. Both engines take the same numbers and 
 """
 
 import functools
-import os
 from collections.abc import Sequence
 
 import jax
@@ -16,6 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from mujoco import mjx, rollout
 
+from hybrid_jax.devices import usable_cores
 from hybrid_jax.errors import InputError, UnknownNameError
 from hybrid_jax.simulation.physics import device_model
 from hybrid_jax.simulation.sensing import SensedCell
@@ -41,7 +41,7 @@ class HostEngine:
     """C MuJoCo: the runs are shared out over all cores."""
 
     def __init__(self, sensed: SensedCell):
-        self.sensed, threads = sensed, len(os.sched_getaffinity(0))
+        self.sensed, threads = sensed, usable_cores()
         self.data = [mujoco.MjData(sensed.model) for _ in range(threads)]
         self.pool = rollout.Rollout(nthread=threads if threads > 1 else 0)
 

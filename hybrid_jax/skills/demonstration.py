@@ -18,6 +18,8 @@ KIND = "demonstration"
 """What the header of a file says."""
 BASE = "base"
 """The frame that stored demonstrations are given in: the robot's base."""
+PARTIAL = ".partial"
+"""End of the names of files that are being written."""
 MIN_SAMPLES = 8
 """Fewer samples are no motion."""
 REST = (0.002, 0.02)
@@ -72,6 +74,19 @@ def _check_shapes(demo: Demonstration) -> None:
             )
     if count < MIN_SAMPLES:
         raise DemonstrationError(f"{demo.name}: {count} samples; at least {MIN_SAMPLES} are needed")
+
+
+def refuse_name(name: str) -> None:
+    """Raise where a demonstration's file would be taken for a write that was interrupted.
+
+    Raises:
+        DemonstrationError: the name ends so.
+    """
+    if name.endswith(PARTIAL):
+        raise DemonstrationError(
+            f"{name!r} is no name for a demonstration: files whose names end in {PARTIAL!r} are "
+            "unfinished ones; choose another"
+        )
 
 
 def _first(bad: np.ndarray) -> int | None:
@@ -169,12 +184,14 @@ def save_demonstration(folder: Path, demo: Demonstration, *, replace: bool = Fal
     Raises:
         DemonstrationError: it is not a valid recording, or the name is taken.
     """
+    refuse_name(demo.name)
     check_demonstration(demo)
     path = folder / f"{demo.name}.npz"
     if path.exists() and not replace:
         raise DemonstrationError(f"{path} is there already; choose another name, or remove it")
     arrays = {"times": demo.times, "poses": demo.poses, "gripper": demo.gripper}
-    arrays = {name: np.asarray(values, np.float32) for name, values in arrays.items()}
+    # as they were checked: in single precision the times of a long recording fall together
+    arrays = {name: np.asarray(values, np.float64) for name, values in arrays.items()}
     about = {"robot": demo.robot, "frame": demo.frame, "note": demo.note}
     artifacts.save(path, KIND, "", arrays, demonstration=about)
     return path
@@ -211,7 +228,7 @@ def load_demonstrations(folder: Path) -> list[Demonstration]:
         raise RunFolderError(f"{folder} is no folder with demonstrations")
     demos, damaged = [], []
     for path in sorted(folder.glob("*.npz")):
-        if path.name.endswith(".partial.npz"):
+        if path.name.endswith(f"{PARTIAL}.npz"):
             continue  # a write that was interrupted
         try:
             demos.append(load_demonstration(path))

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from hybrid_jax.errors import TaskError
+from hybrid_jax.inputfiles import read_text
 from hybrid_jax.kernels.inputs import single_precision
 from hybrid_jax.skills.handling import (
     handling_task,
@@ -98,8 +99,8 @@ def read_task(cell: Workcell, path: Path | str) -> Task:
     """
     path = Path(path)
     try:
-        values = json.loads(path.read_text())
-    except (OSError, ValueError, RecursionError) as error:
+        values = json.loads(read_text(path, TaskError))
+    except (ValueError, RecursionError) as error:
         raise TaskError(f"{path}: {error}") from None
     known = ("object", "scene_seed", "object_poses", "key_poses")
     if not isinstance(values, dict) or not isinstance(values.get("object"), str):

@@ -7,6 +7,7 @@ import numpy as np
 
 from hybrid_jax.skills.cleaning import continuous_signs, low_pass
 from hybrid_jax.skills.demonstration import (
+    PARTIAL,
     Demonstration,
     load_demonstration,
     save_demonstration,
@@ -98,7 +99,9 @@ class TeachPage(WebPage):
         return f"Saved {demo.name!r}: {demo.times[-1]:.1f} s, in {self.library}."
 
     def _list_saved(self) -> None:
-        names = sorted(path.stem for path in self.library.glob("*.npz"))
+        names = sorted(
+            path.stem for path in self.library.glob("*.npz") if not path.stem.endswith(PARTIAL)
+        )
         self._saved.options = tuple(names) or (_NONE,)
 
     def _draw_saved(self) -> str:
@@ -114,12 +117,21 @@ class TeachPage(WebPage):
             "/shown", smooth[::8, :3], color=(20, 120, 220), thickness=4.0, thickness_units="screen"
         )
 
+    def _hand(self) -> np.ndarray:
+        """`[7]` where the handle is; where the tool is, if that is no place."""
+        hand = np.array([*self.handle.position, *self.handle.wxyz], float)
+        if np.isfinite(hand).all() and np.linalg.norm(hand[3:]) > 0.5:
+            return hand
+        tool = self.recorder.tool
+        self.handle.position, self.handle.wxyz = tool[:3], tool[3:]
+        return tool
+
     def tick(self) -> None:
         """Show the next configuration of a replay, or the one that follows the handle."""
         with self._lock:
             if self._replay:
                 shown = self._replay.pop(0)
             else:
-                self.recorder.tick(np.concatenate([self.handle.position, self.handle.wxyz]))
+                self.recorder.tick(self._hand())
                 shown = self.recorder.qpos
             self._scene.show(shown)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """The page: one tab each for tasks, map, skills and learning curves, beside the cell."""
 
+import threading
 import time
 from pathlib import Path
 
@@ -27,6 +28,8 @@ from hybrid_jax.webscene import WebScene
 from hybrid_jax.workcell.assets import demonstrations_folder
 
 _NONE = "(none)"
+TASKS = "tasks"
+"""Folder of a run that the page saves tasks to."""
 
 
 class ViewPage(WebPage):
@@ -47,6 +50,7 @@ class ViewPage(WebPage):
         self.run = run
         self._planner: Planner | None = None
         self._planning_since: float | None = None
+        self._planning = threading.Lock()
         cell = run.cell
         self._scene = WebScene(self.server, cell.model, without=arm_bodies(cell) if look else ())
         self._look = RobotLook(self.server, cell, look) if look else None
@@ -83,7 +87,7 @@ class ViewPage(WebPage):
         self.playback = Playback(self.server, self.show)
         self._name = gui.add_text("Task file", initial_value="task.json")
         self._save = gui.add_button("Save task")
-        self._plan.on_click(lambda _: self.guarded(self.plan))
+        self._plan.on_click(lambda _: self._press_plan())
         self._hide.on_update(lambda _: self.task.hide(self._hide.value))
         self._save.on_click(lambda _: self.guarded(self._keep))
         self.status.content = INVITATION
@@ -108,6 +112,15 @@ class ViewPage(WebPage):
             self.playback.load(None)
         self.show(resting_qpos(self.run.cell, task.object_poses, task.start))
 
+    def _press_plan(self) -> None:
+        """Plan, unless a plan is being made; other buttons work meanwhile."""
+        if not self._planning.acquire(blocking=False):
+            return
+        try:
+            self.unlocked(self.plan)
+        finally:
+            self._planning.release()
+
     def plan(self) -> str:
         """Plan the present task and show the plan; a sentence about it."""
         task, began = self.task.task, time.perf_counter()
@@ -117,6 +130,8 @@ class ViewPage(WebPage):
             result = plan_motion(self._planner, task, key=jax.random.key(self.run.seed))
         finally:
             self._planning_since = None
+        if task is not self.task.task:
+            return "The task has changed meanwhile: plan again."
         took = time.perf_counter() - began
         if result.status is not Status.OK:
             self.playback.load(None)
@@ -126,7 +141,7 @@ class ViewPage(WebPage):
         return f"**OK** after {took:.2f} s: {shares}"
 
     def _keep(self) -> str:
-        return self.task.save(Path(self._name.value.strip()))
+        return self.task.save(self.run.path(TASKS), str(self._name.value).strip())
 
     def _draw_skill(self) -> None:
         demo = self._skills.get(self._skill.value)

@@ -2,6 +2,7 @@
 """A task on the page: choose an object, drag key poses, plan, save."""
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -18,6 +19,8 @@ from hybrid_jax.skills.task import Task, as_rows
 from hybrid_jax.skills.tasks import make_task, task_values, with_key_poses
 from hybrid_jax.types import Workcell
 
+FARTHEST = 100.0
+"""No key pose of a cell is further away [m]."""
 INVITATION = "Choose an object, drag its key poses, plan."
 
 
@@ -60,7 +63,7 @@ class TaskPanel:
         Raises:
             HybridJaxError: there is no such task; the present one stays.
         """
-        poses = sample_scene(self._cell, int(self.scene.value))
+        poses = sample_scene(self._cell, _scene_number(self.scene.value))
         self.task = make_task(self._cell, self.object.value, poses)
         self._place_handles()
         self._tell()
@@ -79,8 +82,18 @@ class TaskPanel:
             self._labels.append(self._server.scene.add_label(f"/key/{number}/label", str(number)))
 
     def _dragged(self) -> str:
-        rows = [np.concatenate([handle.position, handle.wxyz]) for handle in self._handles]
-        self.task = with_key_poses(self._cell, self.task, np.stack(rows))
+        rows = np.array([[*handle.position, *handle.wxyz] for handle in self._handles], float)
+        lengths = np.linalg.norm(rows[:, 3:], axis=1)
+        sound = (np.abs(rows[:, :3]) < FARTHEST).all(axis=1) & (np.abs(lengths - 1) < 0.1)
+        if not sound.all():
+            number = int(np.argmin(sound))
+            self._place_handles()
+            raise TaskError(
+                f"key pose {number + 1} was dragged to {rows[number]}: no place in the cell; it is "
+                "where it was"
+            )
+        rows[:, 3:] /= lengths[:, None]
+        self.task = with_key_poses(self._cell, self.task, rows)
         self._tell()
         return "Key poses dragged; plan."
 
@@ -101,13 +114,38 @@ class TaskPanel:
         for handle in self._handles:
             handle.visible = not hidden
 
-    def save(self, path: Path) -> str:
+    def save(self, folder: Path, name: str) -> str:
         """Write the task as a file for `hybrid_jax.plan`.
 
+        Args:
+            folder: that all tasks of the page are saved to.
+            name: of the file in it.
+
         Raises:
-            TaskError: the name is none of a JSON file.
+            TaskError: the name is none of a JSON file, leads elsewhere, or is taken.
         """
-        if path.suffix != ".json":
-            raise TaskError(f"{path.name!r}: the name of a task file must end in .json")
+        if not re.fullmatch(r"[\w-][\w. -]{0,100}\.json", name):
+            raise TaskError(
+                f"{name!r} is no name for a task file: letters, digits, '_', '-', '.', and .json "
+                f"at its end; it is saved in {folder}"
+            )
+        path = folder / name
+        if path.exists():
+            raise TaskError(f"{path} is there already: choose another name")
         write_text(path, json.dumps(task_values(self.task), indent=1) + "\n")
         return f"Saved {path}."
+
+
+def _scene_number(value) -> int:
+    """A scene's number as the browser sent it.
+
+    Raises:
+        TaskError: it is none.
+    """
+    try:
+        number = int(value)
+    except (TypeError, ValueError, OverflowError):
+        number = -1
+    if not 0 <= number < 2**63:
+        raise TaskError(f"the scene must be a whole number from 0 on, got {value!r}")
+    return number

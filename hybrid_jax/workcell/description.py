@@ -10,7 +10,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import get_args, get_origin, get_type_hints
 
-from hybrid_jax.errors import UnknownNameError, WorkcellError
+from hybrid_jax.errors import UnknownNameError, WorkcellError, shortened
+from hybrid_jax.inputfiles import read_text
+
+LARGEST = 1e300
+"""A number beyond which nothing can be computed."""
+LENGTH = 10.0
+"""No length in the task data of a work cell is larger [m]."""
+
+
+def between(low: float, high: float):
+    """A field whose numbers, all of them where there are several, lie within a range."""
+    return field(metadata={"range": (low, high)})
 
 
 @dataclass(frozen=True)
@@ -21,9 +32,9 @@ class GripperSpec:
     """Slide joints; their common value is the opening of one finger [m]."""
     actuator: str
     """Position actuator of the opening."""
-    open: float
+    open: float = between(1e-6, LENGTH)
     """Opening of each finger when open [m]."""
-    squeeze: float
+    squeeze: float = between(-LENGTH, LENGTH)
     """Actuator command that closes on any object [m]."""
 
 
@@ -47,9 +58,9 @@ class TraySpec:
 
     name: str
     """Body of the tray."""
-    half_size: tuple[float, float]
+    half_size: tuple[float, float] = between(1e-6, LENGTH)
     """Half of its inner length and width, along the body's x and y [m]."""
-    floor: float
+    floor: float = between(-LENGTH, LENGTH)
     """Height of its inner floor above the body's origin [m]."""
 
 
@@ -63,15 +74,15 @@ class ObjectSpec:
     """What it is: skills are demonstrated by kind."""
     tray: str
     """Tray that it belongs in."""
-    grasp: tuple[float, float, float]
+    grasp: tuple[float, float, float] = between(-LENGTH, LENGTH)
     """Tool centre in the object's frame [m]; the tool points down, the fingers open along x."""
-    grip: float
+    grip: float = between(0.0, LENGTH)
     """Half width of the object between the fingers [m]."""
-    spawn: tuple[float, float, float]
+    spawn: tuple[float, float, float] = between(-LENGTH, LENGTH)
     """Middle of the region where it appears: x, y [m], yaw [rad]."""
-    jitter: tuple[float, float, float]
+    jitter: tuple[float, float, float] = between(0.0, LENGTH)
     """Half widths of that region [m, m, rad]."""
-    slot: tuple[float, float, float]
+    slot: tuple[float, float, float] = between(-LENGTH, LENGTH)
     """Where it is put in the tray's frame: x, y [m], yaw [rad]."""
     regrasp: tuple[tuple[float, float, float], ...] = ()
     """Further grasps, like `grasp`: tried in turn where the first fails."""
@@ -90,11 +101,11 @@ class Handling:
     gripper: GripperSpec
     table: str
     """Body whose surface the objects lie on."""
-    lift: float
+    lift: float = between(0.0, LENGTH)
     """Height by which an object is lifted before it is carried [m]."""
-    hover: float
+    hover: float = between(0.0, LENGTH)
     """Height above the place pose at which it arrives [m]."""
-    release: float
+    release: float = between(0.0, LENGTH)
     """Height above the tray's floor at which it is let go [m]."""
     trays: tuple[TraySpec, ...]
     objects: tuple[ObjectSpec, ...]
@@ -119,11 +130,11 @@ class FaceSpec:
     """A face that is brushed: a strip along a part's x axis that twists evenly about it."""
 
     name: str
-    length: float
+    length: float = between(1e-6, LENGTH)
     """Of the stroke; its middle is the part's origin [m]."""
-    height: float
+    height: float = between(-LENGTH, LENGTH)
     """Of the strip's middle line above the part's origin [m]."""
-    twist: tuple[float, float]
+    twist: tuple[float, float] = between(-math.pi, math.pi)
     """Angle of the face about x where the stroke begins and where it ends [rad]."""
 
 
@@ -135,9 +146,9 @@ class PartSpec:
     """Free body."""
     face: str
     """Name of its face."""
-    spawn: tuple[float, float, float]
+    spawn: tuple[float, float, float] = between(-LENGTH, LENGTH)
     """Middle of the region where it lies: x, y [m], yaw [rad]."""
-    jitter: tuple[float, float, float]
+    jitter: tuple[float, float, float] = between(0.0, LENGTH)
     """Half widths of that region [m, m, rad]."""
 
 
@@ -149,13 +160,13 @@ class Inspection:
     """Tips of the brush; it points along z, and is moved along x."""
     tray: str
     """Body that the parts lie in."""
-    hover: float
+    hover: float = between(0.0, LENGTH)
     """Height above the tray's origin at which the arm comes to rest before it brushes [m]."""
-    brush_speed: float
+    brush_speed: float = between(1e-4, LENGTH)
     """Most that the brush may move on a part [m/s]."""
-    guides: int
+    guides: int = between(0, 100)
     """Key poses between the ends of a stroke, which the brush passes."""
-    start_jitter: float
+    start_jitter: float = between(0.0, math.pi)
     """Random tasks begin within so much of home in every joint [rad]."""
     faces: tuple[FaceSpec, ...]
     parts: tuple[PartSpec, ...]
@@ -211,10 +222,18 @@ def _record(kind, values: dict, where: str):
         fields = ", ".join(kind.__dataclass_fields__)
         raise WorkcellError(f"{where}: {error}; the fields are: {fields}") from None
     for name, wanted in get_type_hints(kind).items():
-        value = getattr(found, name)
+        value, limits = getattr(found, name), kind.__dataclass_fields__[name].metadata.get("range")
+        said = f"{where}: {name} is {shortened(repr(value))}; it must be {_in_words(wanted)}"
         if not _fits(value, wanted):
-            raise WorkcellError(f"{where}: {name} is {value!r}; it must be {_in_words(wanted)}")
+            raise WorkcellError(said)
+        if limits and not all(limits[0] <= number <= limits[1] for number in _numbers(value)):
+            raise WorkcellError(f"{said} from {limits[0]:g} to {limits[1]:g}")
     return found
+
+
+def _numbers(value) -> list[float]:
+    """All numbers in a value or in the lists of a value."""
+    return [n for v in value for n in _numbers(v)] if isinstance(value, tuple) else [value]
 
 
 def _fits(value, wanted) -> bool:
@@ -230,7 +249,8 @@ def _fits(value, wanted) -> bool:
         return any(_fits(value, one) for one in inner)
     if wanted is float:
         number = isinstance(value, int | float) and not isinstance(value, bool)
-        return number and math.isfinite(value)
+        # an integer may be too large for any float
+        return number and abs(value) <= LARGEST and math.isfinite(value)
     return isinstance(value, wanted) and not (wanted is int and isinstance(value, bool))
 
 
@@ -279,7 +299,7 @@ def read_task_data(path: Path) -> TaskData | None:
     if not path.is_file():
         return None
     try:
-        data = tomllib.loads(path.read_text())
+        data = tomllib.loads(read_text(path, WorkcellError))
     except (ValueError, RecursionError) as error:  # syntax, or bytes that are no text
         raise WorkcellError(f"{path.name} is no valid TOML: {error}") from None
     kind = data.pop("kind", "handling")

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from hybrid_jax.compilecache import enable_compile_cache
+from hybrid_jax.devices import require_device
 from hybrid_jax.errors import HybridJaxError, WorkcellError
 from hybrid_jax.kernels.inputs import single_precision
 from hybrid_jax.quiet import engine_messages
@@ -136,8 +137,10 @@ def load_workcell(
     Raises:
         UnknownNameError: no such cell; the message lists the shipped ones.
         WorkcellError: the cell cannot be planned in; the message names the geom or joint.
+        DeviceError: JAX has no device of the kind that JAX_PLATFORMS asks for.
     """
     enable_compile_cache()
+    require_device()
     path = find_workcell(name_or_path)
     task = read_task_data(path.with_suffix(".toml"))
     model = read_model(path, tool, package_paths)

@@ -5,6 +5,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from hybrid_jax.errors import DemonstrationError
 from hybrid_jax.skills.demonstration import BASE, Demonstration, check_demonstration
 
@@ -54,9 +56,12 @@ def finish(
     label: Callable[[int], str] = "row {}".format,
 ) -> Demonstration:
     """Put a demonstration together and check it; `label` says what a sample is called."""
+    times = np.asarray(columns["times"], float)
+    if times.ndim == 1 and times.size and np.isfinite(times[0]):
+        times = times - times[0]  # recorders count from their start, or from 1970
     demo = Demonstration(
         name=about.get("name") or config.name or path.stem,
-        times=columns["times"],
+        times=times,
         poses=columns["poses"],
         gripper=columns["gripper"],
         robot=config.robot or about.get("robot", "") or "unknown",

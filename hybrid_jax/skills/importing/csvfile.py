@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hybrid_jax.errors import DemonstrationError
+from hybrid_jax.inputfiles import MOST_TEXT, require_regular
 from hybrid_jax.skills.demonstration import Demonstration
 from hybrid_jax.skills.importing.common import LENGTHS, ImportConfig, finish, unit_factor
 
@@ -28,7 +29,13 @@ def _header(cells: list[str], where: str) -> dict[str, tuple[int, str | None]]:
         match = re.fullmatch(r"\s*(\w+)\s*(?:\[(\w*)\])?\s*", cell)
         if match is None:
             raise DemonstrationError(f"{where}: {cell!r} is no column; write it as: name [unit]")
-        found[match[1].lower()] = (column, match[2])
+        name = match[1].lower()
+        if name in found:
+            raise DemonstrationError(
+                f"{where}: column {name!r} stands there twice, as number {found[name][0] + 1} and "
+                f"{column + 1}: which of them counts?"
+            )
+        found[name] = (column, match[2])
     rotation = _QUATERNION if _QUATERNION[0] in found else _EULER
     missing = [name for name in ("time", "x", "y", "z", *rotation) if name not in found]
     if missing:
@@ -59,6 +66,7 @@ def read_csv(path: Path, config: ImportConfig = ImportConfig()) -> list[Demonstr
     Raises:
         DemonstrationError: a column, a unit or a number that is wrong.
     """
+    require_regular(path, MOST_TEXT, DemonstrationError)
     text = path.read_text(encoding="utf-8-sig", errors="replace")
     about = dict(re.findall(r"^#\s*(robot|frame|note)\s*:\s*(.*?)\s*$", text, re.MULTILINE))
     lines = [

@@ -7,14 +7,21 @@ from pathlib import Path
 import numpy as np
 
 from hybrid_jax.errors import DemonstrationError
+from hybrid_jax.inputfiles import read_arrays
 from hybrid_jax.skills.demonstration import Demonstration
 from hybrid_jax.skills.importing.common import LENGTHS, ImportConfig, finish, unit_factor
+
+KNOWN = {
+    "poses", "times", "gripper", "rate", "robot", "frame", "note", "quaternion", "length_unit",
+}  # fmt: skip
+"""Arrays that are read; others are not even unpacked."""
 
 
 def _arrays(path: Path) -> dict[str, np.ndarray]:
     try:
-        with np.load(path, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
+        return read_arrays(path, DemonstrationError, KNOWN.__contains__)
+    except DemonstrationError:
+        raise
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
         raise DemonstrationError(
             f"{path} cannot be read ({error}); wanted an NPZ file of numbers and strings: "
@@ -31,7 +38,8 @@ def read_npz(path: Path, config: ImportConfig = ImportConfig()) -> list[Demonstr
     arrays = _arrays(path)
     if "poses" not in arrays:
         raise DemonstrationError(
-            f"{path}: array 'poses' is missing; there are: {', '.join(arrays)}"
+            f"{path}: array 'poses' is missing; of the known ones there are: "
+            f"{', '.join(arrays) or 'none'}"
         )
     about = {k: str(arrays[k]) for k in ("robot", "frame", "note", "quaternion") if k in arrays}
     unit = config.length_unit or str(arrays.get("length_unit", ""))
