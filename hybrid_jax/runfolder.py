@@ -4,7 +4,7 @@
 import dataclasses
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,10 @@ from hybrid_jax.presets import PRESETS, Preset
 from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.load import load_workcell
 
-_CONFIG = {"workcell": str, "digest": str, "preset": str, "seed": int, "skills": str | None}
+_CONFIG = {
+    "workcell": str, "digest": str, "preset": str, "seed": int, "skills": str | None, "tool": str,
+    "package_paths": list,
+}  # fmt: skip
 """Fields of `config.json` that are read, and of what type they are."""
 STAGES = ("map", "lfd", "drl", "switch", "demo")
 """Stages of a run, in order."""
@@ -117,9 +120,23 @@ def _latest_folder(parent: Path, name: str) -> Path:
 
 
 def create_run(
-    workcell: str, preset: str, seed: int, out: Path | None, skills: Path | None = None
+    workcell: str,
+    preset: str,
+    seed: int,
+    out: Path | None,
+    skills: Path | None = None,
+    tool: str = "",
+    package_paths: Sequence[Path] = (),
 ) -> Run:
     """Start a new run.
+
+    Args:
+        workcell: name or file of the cell.
+        preset: name of the configuration.
+        seed: of everything random.
+        out: folder of the run; a new one in `runs` if None.
+        skills: folder of demonstrations; the shipped ones if None.
+        tool, package_paths: see `load_workcell`.
 
     Raises:
         UnknownNameError: no such preset or cell.
@@ -127,7 +144,7 @@ def create_run(
     """
     if preset not in PRESETS:
         raise UnknownNameError("preset", preset, PRESETS)
-    cell = load_workcell(workcell)
+    cell = load_workcell(workcell, tool=tool, package_paths=package_paths)
     folder = out or _new_folder(Path("runs"), cell.source.name)
     folder.mkdir(parents=True, exist_ok=True)
     source = str(Path(workcell).resolve()) if Path(workcell).is_file() else workcell
@@ -137,6 +154,8 @@ def create_run(
         "preset": preset,
         "seed": seed,
         "skills": str(skills.resolve()) if skills else None,
+        "tool": tool,
+        "package_paths": [str(Path(folder).resolve()) for folder in package_paths],
         "configuration": dataclasses.asdict(PRESETS[preset]),
     }
     try:
@@ -163,7 +182,9 @@ def open_run(folder: Path | str | None, workcell: str = "") -> Run:
     """
     folder = Path(folder) if folder else _latest_folder(Path("runs"), Path(workcell).stem)
     values = read_config(folder)
-    cell = load_workcell(values["workcell"])
+    cell = load_workcell(
+        values["workcell"], tool=values["tool"], package_paths=values["package_paths"]
+    )
     if cell.source.digest != values["digest"]:
         raise RunFolderError(
             f"{folder}: the run was made for another version of cell {values['workcell']!r} "
@@ -184,7 +205,7 @@ def read_config(folder: Path) -> dict:
         raise RunFolderError(f"{folder} is no run folder: {path.name} is missing")
     try:
         values = json.loads(read_text(path, RunFolderError))
-        values = {"skills": None} | values
+        values = {"skills": None, "tool": "", "package_paths": []} | values
         wrong = [k for k, kind in _CONFIG.items() if not isinstance(values[k], kind)]
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise RunFolderError(f"{path} is damaged: {error!r}") from None

@@ -20,6 +20,8 @@ def main(
     seed: int = 0,
     out: Path | None = None,
     skills: Path | None = None,
+    tool: str = "",
+    package_path: tuple[Path, ...] = (),
     resume: bool = False,
     tensorboard: bool = False,
     quiet: bool = False,
@@ -29,11 +31,13 @@ def main(
 
     Args:
         stages: map lfd drl switch demo; all of them if none is named.
-        workcell: name of a shipped cell, or an MJCF file; the handling cell if not given.
+        workcell: name of a shipped cell, or an MJCF or URDF file; the handling cell if not given.
         preset: default, paper or smoke.
         seed: of everything random.
         out: folder of the run; runs/CELL-NNN if not given.
         skills: folder of demonstrations to plan with; the shipped ones if not given.
+        tool: site or link that is the tool, where the model does not tell.
+        package_path: folders that hold the ROS packages of a URDF's meshes.
         resume: go on with the run in --out, or with the newest run of the cell.
         tensorboard: write the metrics for TensorBoard as well, into RUN/tensorboard.
         quiet: print the summary only.
@@ -52,7 +56,7 @@ def main(
     run = (
         runfolder.open_run(out, workcell)
         if resume
-        else runfolder.create_run(workcell, preset, seed, out, skills)
+        else runfolder.create_run(workcell, preset, seed, out, skills, tool, package_path)
     )
     if not quiet:
         remark(f"run folder: {run.folder}")
@@ -68,12 +72,12 @@ def main(
 
 def run_stages(run, stages: list[str], quiet: bool) -> list[dict]:
     """Run stages in order; one row for each. Ctrl-C ends them with a row that says so."""
-    from hybrid_jax.stages import STAGE_FUNCTIONS  # noqa: PLC0415
-
     rows = []
     for stage in stages:
         began = time.perf_counter()
-        try:
+        try:  # the run exists, and Ctrl-C may fall into this import: it takes half a second
+            from hybrid_jax.stages import STAGE_FUNCTIONS  # noqa: PLC0415
+
             result = STAGE_FUNCTIONS[stage](run, quiet)
         except KeyboardInterrupt:
             remark(

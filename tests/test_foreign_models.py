@@ -10,6 +10,7 @@ from hybrid_jax.errors import UnknownNameError, WorkcellError
 from hybrid_jax.kernels.collision import clearance
 from hybrid_jax.planner.checking import Engine
 from hybrid_jax.planner.scenes import home_scene
+from hybrid_jax.runfolder import create_run, open_run
 from hybrid_jax.workcell.diagnosis import DOUBTFUL, WRONG, diagnose
 from hybrid_jax.workcell.load import load_workcell
 
@@ -88,6 +89,13 @@ def test_where_the_tool_cannot_be_told_the_candidates_are_listed(tmp_path, more,
     # and the check goes on to what else there is to say
     levels = {finding.level for finding in diagnose(tmp_path / "arm.urdf")}
     assert levels == {WRONG, DOUBTFUL}
+
+
+def test_a_run_keeps_the_tool_that_was_named(tmp_path):
+    (tmp_path / "arm.urdf").write_text(ARM + link("jaw") + joint("k", "wrist", "jaw") + "</robot>")
+    run = create_run(str(tmp_path / "arm.urdf"), "smoke", 0, tmp_path / "run", tool="wrist")
+    assert tool_body(run.cell) == "wrist"
+    assert tool_body(open_run(tmp_path / "run").cell) == "wrist"
 
 
 def test_endings_in_any_case_and_files_of_other_kinds(tmp_path):

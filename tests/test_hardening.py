@@ -178,7 +178,8 @@ run_cli(command)
     assert (done.returncode, done.stderr) == (130, "\nstopped\n")
 
 
-def test_ctrl_c_ends_with_130_and_says_how_to_go_on(tmp_path):
+@pytest.mark.parametrize("later", [0.1, 2.0], ids=["importing", "computing"])
+def test_ctrl_c_ends_with_130_and_says_how_to_go_on(tmp_path, later):
     folder = tmp_path / "run"
     # what a shell starts in the background ignores Ctrl-C, and so would its children
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -190,7 +191,7 @@ def test_ctrl_c_ends_with_130_and_says_how_to_go_on(tmp_path):
     until = time.monotonic() + 60
     while not (folder / "config.json").is_file() and time.monotonic() < until:
         time.sleep(0.1)
-    time.sleep(1.0)
+    time.sleep(later)
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130 and f"--resume --out {folder}" in err, err

@@ -13,8 +13,10 @@ from toy_worlds import Aimed, Delayed, Endless, Later, Matched, Seen, Toy
 from hybrid_jax.agents import controllers, dqn, networks, ppo, sac, training
 from hybrid_jax.errors import TrainingError
 
+# With 1e-2 a gradient step outgrows the policy's deviation, and what was learnt is lost again:
+# up to a third of the seeds end more than 0.1 off, and rounding decides which.
 PPO = ppo.PpoConfig(
-    steps=32 * 8 * 60, envs=32, unroll=8, minibatch=128, hidden=(16,), learning_rate=1e-2,
+    steps=32 * 8 * 60, envs=32, unroll=8, minibatch=128, hidden=(16,), learning_rate=2e-3,
     discount=0.9, entropy=0.0,
 )  # fmt: skip
 SAC = sac.SacConfig(

@@ -11,6 +11,8 @@ def main(
     workcell: str = "",
     library: Path = Path("skills"),
     robot: str = "",
+    tool: str = "",
+    package_path: tuple[Path, ...] = (),
     host: str = "127.0.0.1",
     port: int = 8080,
 ) -> int:
@@ -20,6 +22,8 @@ def main(
         workcell: name of a shipped cell, or an MJCF file; the handling cell if not given.
         library: folder that the demonstrations are saved to.
         robot: kind of robot, as the recordings are to say; the cell's name if not given.
+        tool: site or link that is the tool, where the model does not tell.
+        package_path: folders that hold the ROS packages of a URDF's meshes.
         host: address to listen at. Anyone who can reach it can move the simulated arm.
         port: port to listen at.
     """
@@ -33,7 +37,9 @@ def main(
     from hybrid_jax.workcell.assets import default_workcell  # noqa: PLC0415
     from hybrid_jax.workcell.load import load_workcell  # noqa: PLC0415
 
-    cell = load_workcell(workcell or default_workcell())
+    cell = load_workcell(
+        workcell or default_workcell(), tool=tool, package_paths=package_path
+    )
     page = TeachPage(cell, library, robot or cell.source.name, host, port)
     serve(page)
     remark(f"\ndemonstrations are in {library}")
