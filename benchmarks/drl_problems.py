@@ -20,10 +20,9 @@ from hybrid_jax.planner.loading import read_library
 from hybrid_jax.presets import DEFAULT, SMOKE
 from hybrid_jax.progress import Progress
 from hybrid_jax.rrt import plan_paths
+from hybrid_jax.seeds import BENCHMARK_TRAINING, JOINT_AGENT_TEST
 from hybrid_jax.types import Workcell, pytree
 
-TRAINING, UNSEEN = 10_000, 120_000
-"""Seeds of the first tasks; those from 80,000 were looked at while the checks were chosen."""
 TRAINING_TASKS = 100
 HELD_OUT = 500
 """Segments of the test."""
@@ -62,13 +61,14 @@ def rrt_paths(cell: Workcell, segments: Segments, batch: int = 64) -> list[np.nd
 
 def unseen(cell: Workcell, scale: float) -> Segments:
     """The segments of the test."""
-    parts, found, tried, first = [], 0, 0, UNSEEN
+    parts, found, tried, first = [], 0, 0, JOINT_AGENT_TEST.start
     while found < HELD_OUT:
         segments = collect(cell, scale, first, 30)
         good = np.array([path is not None for path in rrt_paths(cell, segments)])
         parts.append(take(segments, np.flatnonzero(good)))
         found, tried, first = found + int(good.sum()), tried + len(good), first + 30
-    print(f"held out: {found} of {tried} segments of {first - UNSEEN} tasks are solvable")
+    tasks = first - JOINT_AGENT_TEST.start
+    print(f"held out: {found} of {tried} segments of {tasks} tasks are solvable")
     return take(join(parts), slice(HELD_OUT))
 
 
@@ -76,7 +76,7 @@ def draw(cell: Workcell) -> Problems:
     """All of them, from scratch."""
     # the scale is drawn from random configurations: any grid will do
     scale = float(build_feasibility_map(cell, SMOKE.map).manipulability_scale)
-    training = collect(cell, scale, TRAINING, TRAINING_TASKS)
+    training = collect(cell, scale, BENCHMARK_TRAINING.start, TRAINING_TASKS)
     return Problems(training, free_pairs(cell, training), unseen(cell, scale))
 
 
@@ -86,7 +86,7 @@ def problems(cell: Workcell, file: Path | None) -> Problems:
         state = artifacts.load(file, "problems", cell.source.digest)[1]
         scene = jax.tree.map(lambda a: a[None], cell.scene)
         template = Problems(*[Segments(scene, None, None)] * 3)
-        return jax.tree.map(jnp.asarray, artifacts.restore(template, state))
+        return jax.tree.map(jnp.asarray, artifacts.restore(template, state, str(file)))
     found = draw(cell)
     if file:
         artifacts.save(file, "problems", cell.source.digest, found)

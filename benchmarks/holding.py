@@ -25,6 +25,7 @@ from hybrid_jax.planner.loading import optimal_switcher, read_library
 from hybrid_jax.planner.pipeline import plan_batch
 from hybrid_jax.planner.records import Planner
 from hybrid_jax.rrt import RrtConfig
+from hybrid_jax.seeds import HOLDING
 from hybrid_jax.simulation.driving import drive
 from hybrid_jax.simulation.engines import HostEngine, get_state
 from hybrid_jax.simulation.plant import Plant, Steps
@@ -36,8 +37,6 @@ from hybrid_jax.skills.task import Task
 from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.load import load_workcell
 
-SCENE = 300_000
-"""Seed of the scene."""
 HOLD = 30.0
 """Time of holding [s]."""
 
@@ -99,7 +98,7 @@ def main(json: Path | None = None) -> None:
         json: file to write them to.
     """
     cell = load_workcell("gen3_handling")
-    sensed, poses = sense_cell(cell), sample_scene(cell, SCENE)
+    sensed, poses = sense_cell(cell), sample_scene(cell, HOLDING.start)
     pyramids = copy.deepcopy(sensed.model)
     pyramids.opt.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
     tasks = [handling_task(cell, name, poses) for name in cell.source.layout.object_names]

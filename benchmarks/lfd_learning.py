@@ -20,6 +20,7 @@ from hybrid_jax.agents import controllers, dqn
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.planner.loading import read_library
 from hybrid_jax.presets import DEFAULT, PAPER
+from hybrid_jax.seeds import LFD_TEST, LFD_TRAINING
 from hybrid_jax.skills.costs import MAX_KEY_POSES, SegmentCosts, pad_task, segment_costs
 from hybrid_jax.skills.library import SkillConfig, SkillLibrary
 from hybrid_jax.skills.scripts import HOVER, on_part, shifted
@@ -34,8 +35,6 @@ matplotlib.use("Agg")
 SEEDS = 5
 TASKS = 100
 """To train on, and again for the test: handling, inspection and chains of random skills."""
-TRAINING, UNSEEN = 50_000, 60_000
-"""Seeds of the first tasks; nothing was tuned on either."""
 NEAR = 0.01
 """A policy is steady while its return stays this near, as a share of the optimum."""
 
@@ -44,7 +43,7 @@ def inspection_poses(home: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Home, hover over the tray, start and end of a stroke on a part (paper, FPI); `[4, 8]`."""
     hover = shifted(HOVER, *rng.uniform(-0.02, 0.02, 3))
     x, y = rng.uniform(-0.10, 0.10), rng.uniform(-0.13, 0.13)
-    start = on_part(x, y, tilt=rng.uniform(-0.2, 0.2), turn=rng.uniform(-0.25, 0.25))
+    start = on_part(x, y, tilt=rng.uniform(-0.2, 0.2), roll=rng.uniform(-0.25, 0.25))
     along = RigidTransform.from_components(
         [rng.uniform(0.08, 0.16), rng.uniform(-0.03, 0.03), rng.uniform(-0.02, 0.02)],
         Rotation.from_euler("zy", [rng.uniform(-0.9, 0.9), rng.uniform(-0.3, 0.3)]),
@@ -188,7 +187,7 @@ def draw(path: Path, curves: dict[str, list], optimum: float) -> None:
 def figures(picture: Path | None) -> list[dict]:
     """Figures of the presets `default` and `paper` on the same tasks."""
     cell, config = load_workcell("gen3_handling"), SkillConfig()
-    train, test = (draw_tasks(cell, first, config) for first in (TRAINING, UNSEEN))
+    train, test = (draw_tasks(cell, some.start, config) for some in (LFD_TRAINING, LFD_TEST))
     note = "uniformly random admissible choices: the scale of the rows below"
     out = [metric("lfd.random_optimality", random_share(test), "1", "higher", note)]
     curves = {}

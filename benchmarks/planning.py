@@ -25,13 +25,12 @@ from hybrid_jax.planner.lfd import skill_path
 from hybrid_jax.planner.pipeline import plan_batch
 from hybrid_jax.planner.records import Planner, PlanResult
 from hybrid_jax.planner.scenes import phase_scene, segment_kinds
+from hybrid_jax.seeds import PLANNING_BATCHES, PLANNING_TEST, PLANNING_WARM_UP
 from hybrid_jax.skills.task import Task
 from hybrid_jax.skills.tasks import random_task
 from hybrid_jax.types import Source, Status, Workcell
 from hybrid_jax.workcell.load import load_workcell
 
-TEST = 200_000
-"""Seed of the first task; nothing was tuned on them."""
 FINER = CheckConfig(clearance=0.0, max_step=0.005, slack=1.0)
 """The check after the check: four times as dense, nothing beyond the limits."""
 
@@ -102,7 +101,7 @@ def compare(learned: Learned, tasks: list[Task]) -> tuple[list[dict], dict[str, 
     cell, found, table = learned.planner.cell, [], {}
     for name, plan in (methods(learned) | ompl(learned)).items():
         for number in range(10):
-            plan(random_task(cell, TEST - 10 + number), jax.random.key(number))
+            plan(random_task(cell, PLANNING_WARM_UP[number]), jax.random.key(number))
         table[name] = [trial(plan, learned.planner, task, i) for i, task in enumerate(tasks)]
         found += rows_of(name, table[name])
         print(f"{name}: {sum(r['ok'] for r in table[name])} of {len(tasks)}", flush=True)
@@ -143,7 +142,7 @@ def batch(learned: Learned, count: int) -> list[dict]:
     planner, cell = learned.planner, learned.planner.cell
     engine, checked, bad, rates = Engine(cell, FINER), 0, 0, []
     for first in range(0, count, 256):
-        tasks = [random_task(cell, TEST + 1000 + first + i) for i in range(256)]
+        tasks = [random_task(cell, PLANNING_BATCHES[first + i]) for i in range(256)]
         began = time.perf_counter()
         results = plan_batch(planner, tasks, key=jax.random.key(first))
         rates.append(256 / (time.perf_counter() - began))
@@ -172,7 +171,7 @@ def main(json: Path | None = None, tasks: int = 200, batched: int = 512) -> None
     hj.use_all_cores()
     cell = load_workcell("gen3_handling")
     learned = learn(cell)
-    found, table = compare(learned, [random_task(cell, TEST + i) for i in range(tasks)])
+    found, table = compare(learned, [random_task(cell, seed) for seed in PLANNING_TEST[:tasks]])
     found += headline(learned, table)
     write(found, json)
     found += batch(learned, batched)

@@ -23,16 +23,17 @@ from hybrid_jax.planner.records import Planner, PlanResult
 from hybrid_jax.planner.switchdata import combined_phases
 from hybrid_jax.presets import DEFAULT, SMOKE
 from hybrid_jax.progress import Progress
+from hybrid_jax.seeds import BENCHMARK_TRAINING, SWITCHING_TEST
 from hybrid_jax.skills.task import Task
 from hybrid_jax.skills.tasks import random_task
 from hybrid_jax.types import Workcell
 
-TRAINING, TRAINING_TASKS = 1_000_000, 100
-"""Seeds of the first training task, and how many there are."""
+TRAINING_TASKS = 100
+"""Tasks that the joint agent trains on."""
 SWITCH_TASKS = 24
 """Training tasks whose combined trajectories the switching agent sees, ..."""
-SWITCH_TEST = 30_000, 48
-"""... and the seed of the first task, and number of tasks, that it is tested on."""
+SWITCH_TEST = 48
+"""... and the number of those that it is tested on."""
 
 Method = Callable[[Task, jax.Array], PlanResult]
 
@@ -61,7 +62,9 @@ def switch_problems(planner: Planner, key: jax.Array) -> tuple[Combined, Combine
     """Combined trajectories of training tasks and of unseen ones, stacked."""
     found = (
         combined_phases(planner, [random_task(planner.cell, first + i) for i in range(count)], key)
-        for first, count in ((TRAINING, SWITCH_TASKS), SWITCH_TEST)
+        for first, count in (
+            (BENCHMARK_TRAINING.start, SWITCH_TASKS), (SWITCHING_TEST.start, SWITCH_TEST),
+        )
     )
     training_, test = (jax.tree.map(lambda *a: jnp.stack(a), *some) for some in found)
     return training_, test
@@ -93,7 +96,7 @@ def learn_planner(cell: Workcell) -> Planner:
     scale = float(build_feasibility_map(cell, SMOKE.map).manipulability_scale)
     segments = harvest(
         cell, library, optimal_chooser, preset.skills, preset.first_look, scale, seed=0,
-        tasks=range(TRAINING, TRAINING + TRAINING_TASKS), progress=Progress("collect", "tasks"),
+        tasks=BENCHMARK_TRAINING[:TRAINING_TASKS], progress=Progress("collect", "tasks"),
     )  # fmt: skip
     bridge, switch = train_joint_agent(cell, segments), optimal_switcher(DEFAULT.switch)
     return Planner(cell, library, optimal_chooser, bridge, switch, scale, preset)

@@ -6,16 +6,13 @@ from pathlib import Path
 from hybrid_jax.errors import InputError
 from hybrid_jax.terminal import answer, remark, run_main
 
-FIRST_SEED = 10_000
-"""Of the study's scenes; nothing was tuned on those from here on."""
-
 
 def main(
     run: Path,
     out: Path | None = None,
     runs: int = 100,
     methods: tuple[str, ...] = (),
-    seed: int = FIRST_SEED,
+    seed: int | None = None,
     paper: Path | None = None,
     video: Path | None = None,
     quiet: bool = False,
@@ -31,7 +28,8 @@ def main(
             with --seed.
         methods: hybrid, lfd, drl, ompl, disturbed, paper; if none is named, those of the cell's
             study.
-        seed: of the first scene.
+        seed: of the first scene; if not given, the study's own, which nothing was tuned on
+            (`hybrid_jax.seeds`).
         paper: folder of a run of preset paper, for method paper; trained into the run's folder
             if not given.
         video: MP4 or GIF to write instead: the scene of --seed, the first two methods side by side.
@@ -49,6 +47,7 @@ def main(
 
     opened, papers = open_run(run), open_run(paper) if paper else None
     study = study_of(opened.cell)
+    seed = study.SEEDS.start if seed is None else seed
     found = [contestant(name, opened, papers) for name in methods or study.METHODS]
     contestants = [one for one in found if one]
     if video:

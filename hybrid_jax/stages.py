@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hybrid_jax import artifacts, film, pictures
+from hybrid_jax import artifacts, film, pictures, seeds
 from hybrid_jax.agents import controllers, dqn, joint, switching
 from hybrid_jax.agents.segments import Segments, refuse_infeasible, with_room
 from hybrid_jax.checkpoints import discard, train_agent
@@ -33,9 +33,9 @@ from hybrid_jax.skills.tasks import random_task
 from hybrid_jax.terminal import remark
 from hybrid_jax.types import Source
 
-TRAINING_TASKS = 1_000_000
-"""Seed of the first training task; the studies use seeds far below."""
-HELD_OUT_TASKS = 2_000_000
+TRAINING_TASKS = seeds.TRAINING.start
+"""Seed of the first training task."""
+HELD_OUT_TASKS = seeds.VALIDATION.start
 """Seed of the first held-out task."""
 
 Stage = Callable[[Run, bool], dict]

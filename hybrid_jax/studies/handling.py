@@ -6,6 +6,7 @@ from dataclasses import asdict
 
 import numpy as np
 
+from hybrid_jax import seeds
 from hybrid_jax.runfolder import Run
 from hybrid_jax.simulation.runs import SortingReport, sort_scenes
 from hybrid_jax.studies.contestants import Contestant, carry_out
@@ -13,18 +14,20 @@ from hybrid_jax.studies.handlingpictures import draw_study
 from hybrid_jax.studies.measures import Metrics, rate
 from hybrid_jax.types import Workcell
 
+SEEDS = seeds.HANDLING_STUDY
+"""Of its scenes."""
 METHODS = ("hybrid", "lfd", "drl", "ompl", "disturbed", "paper")
 """Methods that are compared if none is named."""
 
 
 def run_contestant(
-    cell: Workcell, one: Contestant, seeds: Sequence[int], quiet: bool = False
+    cell: Workcell, one: Contestant, numbers: Sequence[int], quiet: bool = False
 ) -> tuple[list[SortingReport], float]:
     """All runs of one method, and the time that they took [s], compilation included."""
     return carry_out(
-        one, "runs", len(seeds), seeds[0],
+        one, "runs", len(numbers), numbers[0],
         lambda plan, progress: sort_scenes(
-            cell, plan, seeds, disturbance=one.disturbance, progress=progress
+            cell, plan, numbers, disturbance=one.disturbance, progress=progress
         ),
         quiet,
     )  # fmt: skip

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hybrid_jax import seeds
 from hybrid_jax.runfolder import Run
 from hybrid_jax.simulation.inspecting import EXACT, InspectionReport, Trial, inspect_parts
 from hybrid_jax.skills.inspection import require_inspection
@@ -13,6 +14,8 @@ from hybrid_jax.studies.inspectionpictures import draw_study
 from hybrid_jax.studies.measures import Metrics, rate, steady_from
 from hybrid_jax.types import Workcell
 
+SEEDS = seeds.INSPECTION_STUDY
+"""Of its scenes."""
 METHODS = ("hybrid", "drl")
 """Methods that are compared if none is named."""
 STEADY, MEAN_OF = 0.05, 5
@@ -26,17 +29,20 @@ LEVELS = {
 
 
 def run_contestant(
-    cell: Workcell, one: Contestant, seeds: Sequence[int], quiet: bool = False
+    cell: Workcell, one: Contestant, numbers: Sequence[int], quiet: bool = False
 ) -> tuple[list[InspectionReport], float]:
-    """A trial of every part for each seed, and the time that they took [s], with compiling."""
+    """A trial of every part for each number, and the time that they took [s], with compiling.
+
+    Each has a seed of its own, counted from the first number on.
+    """
     parts = require_inspection(cell).parts
     trials = [
-        Trial(part.name, len(parts) * seed + number)
+        Trial(part.name, numbers[0] + len(parts) * (seed - numbers[0]) + number)
         for number, part in enumerate(parts)
-        for seed in seeds
+        for seed in numbers
     ]
     return carry_out(
-        one, "trials", len(trials), seeds[0],
+        one, "trials", len(trials), numbers[0],
         lambda plan, progress: inspect_parts(
             cell, plan, trials, one.disturbance, progress=progress
         ),
