@@ -6,6 +6,9 @@ from pathlib import Path
 from hybrid_jax.errors import InputError
 from hybrid_jax.terminal import answer, remark, run_main
 
+BLOCK = 50
+"""Runs that are carried out side by side; a study that is killed loses no more than these."""
+
 
 def main(
     run: Path,
@@ -20,14 +23,16 @@ def main(
 ) -> int:
     """Let methods do the tasks of the run's cell in the same random scenes, carried out in physics.
 
+    A study that was stopped goes on when it is started again with the same arguments.
+
     Args:
         run: folder of a trained run.
         out: JSON file to write: every run with its seed, and the metrics. A chart and the
             recordings of failed runs are put beside it.
         runs: random scenes (handling), or scenes for each part (inspection); their seeds begin
             with --seed.
-        methods: hybrid, lfd, drl, ompl, disturbed, paper; if none is named, those of the cell's
-            study.
+        methods: hybrid, lfd, lfd_executed, drl, ompl, disturbed, paper, ablation_...; if none is
+            named, those of the cell's study.
         seed: of the first scene; if not given, the study's own, which nothing was tuned on
             (`hybrid_jax.seeds`).
         paper: folder of a run of preset paper, for method paper; trained into the run's folder
@@ -58,21 +63,42 @@ def main(
 
 
 def run_study(study, opened, contestants, seeds: range, out: Path, quiet: bool) -> list[dict]:
-    """All methods, one after the other; what is done is on disk after each of them."""
-    from hybrid_jax.export import write_json  # noqa: PLC0415
+    """All methods, one after the other, in blocks of runs; what is done is kept after each.
 
-    rows, seconds, metrics = [], {}, []
-    for one in contestants:
-        reports, seconds[one.name] = study.run_contestant(opened.cell, one, seeds, quiet)
-        rows += [study.row_of(one.name, report) for report in reports]
-        failed = [report for report in reports if not study.succeeded(report)]
-        keep_motions(out.with_suffix(""), one.name, map(study.frames_of, failed))
-        metrics = study.summarize(rows, seconds) + study.learning(opened)
-        write_json(out, {"metrics": metrics, "runs": rows})
-    study.draw(out.with_suffix(".png"), rows, opened)
+    One that was killed goes on with the runs that it lacks.
+    """
+    from hybrid_jax.export import write_json  # noqa: PLC0415
+    from hybrid_jax.studies.journal import Journal  # noqa: PLC0415
+
+    about = {
+        "run": str(opened.folder.resolve()), "cell": opened.cell.source.digest,
+        "first": seeds.start, "runs": len(seeds),
+    }  # fmt: skip
+    journal = Journal(out.with_suffix(".progress"), about)
+    try:
+        for one in contestants:
+            run_blocks(study, opened, one, seeds, out, journal, quiet)
+            metrics = study.summarize(journal.rows, journal.seconds) + study.learning(opened)
+            write_json(out, {"metrics": metrics, "runs": journal.rows})
+        study.draw(out.with_suffix(".png"), journal.rows, opened)
+        journal.close(finished=True)
+    finally:
+        journal.close(finished=False)
     if not quiet:
         remark(f"written to {out} and {out.with_suffix('.png')}")
     return metrics
+
+
+def run_blocks(study, opened, one, seeds: range, out: Path, journal, quiet: bool) -> None:
+    """The runs of one method that the journal lacks."""
+    for first in range(0, len(seeds), BLOCK):
+        block = seeds[first : first + BLOCK]
+        if not journal.missing(one.name, block):
+            continue
+        reports, took = study.run_contestant(opened.cell, one, block, quiet)
+        failed = [report for report in reports if not study.succeeded(report)]
+        keep_motions(out.with_suffix(""), one.name, map(study.frames_of, failed))
+        journal.add(one.name, block, [study.row_of(one.name, r) for r in reports], took)
 
 
 def keep_motions(folder: Path, method: str, motions) -> None:

@@ -31,10 +31,13 @@ class Progress:
         self.printed = now
         since, before = self.first
         rate = (done - before) / (now - since) if done > before and now > since else 0.0
-        left = f"{(total - done) / rate:.0f} s left" if rate > 0 else "compiling"
-        ending = f"{now - self.began:.0f} s" if last else left
-        speed = f"{rate:,.0f}/s" if rate >= 10 else f"{rate:.2g}/s"
-        text = f"{self.stage:7s} {done:>9,}/{total:,} {self.unit}  {speed}  {ending}  {note}"
+        took = f"{now - self.began:.0f} s"
+        if last or rate == 0:  # nobody knows how long what has not begun to count will take
+            told = took if last else f"{took} so far"
+        else:
+            speed = f"{rate:,.0f}/s" if rate >= 10 else f"{rate:.2g}/s"
+            told = f"{speed}  {(total - done) / rate:.0f} s left"
+        text = f"{self.stage:7s} {done:>9,}/{total:,} {self.unit}  {told}  {note}"
         _write(text.rstrip(), self.live, last)
 
 

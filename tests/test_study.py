@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """The study: disturbances, what runs add up to, and the film."""
 
+import json
 from dataclasses import replace
 
 import jax
@@ -10,6 +11,8 @@ import pytest
 
 from hybrid_jax import evaluate, film
 from hybrid_jax.errors import InputError, RunFolderError, UnknownNameError
+from hybrid_jax.planner.ablations import ABLATIONS, ablated, straight_bridger
+from hybrid_jax.presets import PRESETS
 from hybrid_jax.runfolder import Run
 from hybrid_jax.simulation.disturbances import (
     CALM,
@@ -21,16 +24,20 @@ from hybrid_jax.simulation.disturbances import (
 from hybrid_jax.simulation.plant import Plant
 from hybrid_jax.simulation.runs import SortingReport, sort_scenes
 from hybrid_jax.simulation.sensing import sense_cell
-from hybrid_jax.simulation.sorting import ObjectReport
+from hybrid_jax.simulation.sorting import ObjectReport, in_tray
 from hybrid_jax.skills.scenes import sample_scene
 from hybrid_jax.skills.task import yaw_of
 from hybrid_jax.studies import choosing, contestants, handlingpictures
 from hybrid_jax.studies import handling as study
+from hybrid_jax.studies.journal import Journal
 from hybrid_jax.types import Source, Status
+from hybrid_jax.workcell.layout import home_qpos
 
 
 def run_of(seed: int, causes: list[str]) -> SortingReport:
-    reports = [ObjectReport(f"o{i}", not c, c, tries=1) for i, c in enumerate(causes)]
+    reports = [
+        ObjectReport(f"o{i}", not c, not c, c, tries=1, asked=1) for i, c in enumerate(causes)
+    ]
     return SortingReport(seed, reports, [], np.zeros((3, 45), np.float32), 60.0)
 
 
@@ -84,6 +91,7 @@ def test_runs_add_up_with_their_intervals_and_causes():
     half = z * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2)) / (1 + z**2 / n)
     assert f"from {middle - half:.3f} to {middle + half:.3f}" in success["note"]
     assert metrics["handling.hybrid_object_success"]["value"] == 19 / 20
+    assert metrics["handling.hybrid_first_try"]["value"] == 0.9
     assert metrics["handling.seconds_100"]["value"] == 200.0
     assert metrics["handling.hybrid_cycle_time"]["value"] == 60.0
 
@@ -134,6 +142,103 @@ def test_ompl_plans_tasks_as_our_planner_does(cell, planner, planned):
     assert result.shares[Source.RRT] == 1.0
     np.testing.assert_allclose(result.phases[0].positions[0], cell.home, atol=1e-5)
     np.testing.assert_allclose(result.phases[2].positions[-1], cell.home, atol=1e-3)
+
+
+def test_a_second_try_is_no_first_one():
+    run = run_of(0, ["", ""])
+    run.reports[0].tries = run.reports[0].asked = 2
+    rows = [study.row_of("hybrid", run), study.row_of("hybrid", run_of(1, ["", ""]))]
+    metrics = {m["key"]: m["value"] for m in study.summarize(rows, {"hybrid": 1.0})}
+    assert metrics["handling.hybrid_success"] == 1.0
+    assert metrics["handling.hybrid_first_try"] == 0.5
+    assert metrics["handling.hybrid_object_first_try"] == 0.75
+
+
+def test_what_stands_out_over_the_rim_does_not_lie_in_its_tray(cell):
+    """Its middle is inside; and one that hovers over the floor does not lie on it."""
+    sensed, index = sense_cell(cell), cell.source.layout.object_names.index("hammer")
+    task = cell.source.task
+    tray, spec = task.tray(task.object("hammer").tray), task.object("hammer")
+    middle = cell.model.body(tray.name).pos
+    height = home_qpos(cell.model)[cell.source.layout.object_qpos[index] + 2] + tray.floor
+    for shift, up, lies in ((0.0, 0.0, True), (tray.half_size[0] - 0.01, 0.0, False),
+                            (0.0, 0.03, False)):  # fmt: skip
+        poses = sample_scene(cell, 0)
+        poses[index] = [middle[0] + spec.slot[0] * (not shift) + shift, middle[1] + spec.slot[1],
+                        middle[2] + height + up, 1, 0, 0, 0]  # fmt: skip
+        plant = Plant(sensed, poses, 25)
+        mujoco.mj_kinematics(plant.model, plant.data)
+        assert in_tray(plant, "hammer") == lies, (shift, up)
+
+
+def test_skills_alone_are_executed_and_their_collisions_counted(cell, planner):
+    from hybrid_jax.planner.unchecked import follow_skills
+    from hybrid_jax.simulation.execution import ExecutionConfig
+    from hybrid_jax.simulation.runs import planning
+
+    plan = planning(planner, follow_skills, 0)
+    (report,) = sort_scenes(cell, plan, [3], ["block_2"], config=ExecutionConfig(tries=1))
+    assert not report.success and report.reports[0].tries == 1
+    assert any(touch.mover == "arm" and touch.thing == "enclosure" for touch in report.touches)
+
+
+@pytest.mark.parametrize("name", ABLATIONS)
+def test_each_ablation_replaces_one_part_only(cell, planner, name):
+    found = ablated(name, planner, PRESETS["smoke"], lambda: "chooser")
+    parts = {"rrt": "bridge", "untrained": "bridge", "straight": "bridge", "rule": "switch",
+             "optimal_switch": "switch", "dqn": "choose"}  # fmt: skip
+    for part in ("bridge", "switch", "choose", "library", "scale", "config"):
+        same = getattr(found, part) is getattr(planner, part)
+        assert same == (part != parts[name])
+    assert f"ablation_{name}" in study.METHODS
+
+
+def test_the_straight_line_bridges_where_it_is_free(cell, planner):
+    from hybrid_jax.agents.segments import Segments
+
+    scenes = jax.tree.map(lambda a: np.stack([a, a]), cell.scene)
+    home = np.asarray(cell.home)
+    through_itself = home + np.array([0, 0, 0, -4.0, 0, 0, 0], np.float32)
+    goals = np.stack([home + np.float32(0.01), through_itself])
+    ways = straight_bridger(cell)(Segments(scenes, np.stack([home, home]), goals), None)
+    assert ways[0] is not None and len(ways[0]) == 2 and ways[1] is None
+
+
+def test_a_study_that_was_stopped_goes_on_with_what_it_lacks(cell, tmp_path, monkeypatch):
+    calls = []
+
+    def runs(_, one, numbers, quiet=False):
+        calls.append((one.name, list(numbers)))
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return [run_of(number, [""]) for number in numbers], 1.0
+
+    monkeypatch.setattr(study, "run_contestant", runs)
+    monkeypatch.setattr(evaluate, "BLOCK", 2)
+    some = [contestants.Contestant(name, None, None) for name in ("hybrid", "lfd")]
+    run, out = Run(tmp_path, cell, "smoke", 0), tmp_path / "study.json"
+    seeds = range(7, 10)
+    with pytest.raises(KeyboardInterrupt):
+        evaluate.run_study(study, run, some, seeds, out, True)
+    evaluate.run_study(study, run, some, seeds, out, True)
+    blocks = [[7, 8], [9]]
+    again = [(name, block) for name in ("hybrid", "lfd") for block in blocks]
+    assert calls == [*again[:2], ("lfd", [7, 8]), *again[2:]]
+    found = json.loads(out.read_text())["runs"]
+    assert [(row["method"], row["seed"]) for row in found] == [
+        (name, seed) for name in ("hybrid", "lfd") for seed in seeds
+    ]
+    assert not out.with_suffix(".progress").exists()
+
+
+def test_two_studies_do_not_share_a_file(tmp_path):
+    first = Journal(tmp_path / "a.progress", {"runs": 3})
+    with pytest.raises(RunFolderError, match="another study is being written"):
+        Journal(tmp_path / "a.progress", {"runs": 3})
+    first.close(finished=False)
+    with pytest.raises(RunFolderError, match="belongs to a study of"):
+        Journal(tmp_path / "a.progress", {"runs": 4})
+    Journal(tmp_path / "a.progress", {"runs": 3}).close(finished=True)
 
 
 def test_every_method_of_the_command_exists():

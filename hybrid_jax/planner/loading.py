@@ -67,6 +67,11 @@ def load_chooser(run: Run) -> SkillChooser:
     """The task planner that the run's preset asks for: exact, or the trained controllers."""
     if run.preset.task_planner == "exact":
         return optimal_chooser
+    return load_learned_chooser(run)
+
+
+def load_learned_chooser(run: Run) -> SkillChooser:
+    """The trained controllers of the hierarchical DQN, whatever the preset plans with."""
     _, state = run.load("lfd.npz", "hierarchical DQN")
     return dqn.make_chooser(run.preset.dqn, jax.tree.map(jnp.asarray, state))
 

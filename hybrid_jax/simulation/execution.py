@@ -89,12 +89,21 @@ class Execution:
         self.object = plant.layout.object_names.index(task.object_name)
         self.gripper = plant.spec.gripper
         self.seen = plant.objects()
+        self.lying = self._lying()
         self.disturb: Callable[[int], None] | None = None
         """Called once, half way to the grasp, with the object that is reached for."""
         self.following = phases[0]
         self.gripped_at = np.zeros(3)
         self.slip = 0.0
         """Largest way of the held object in the tool [m]."""
+
+    def _lying(self) -> np.ndarray:
+        """`[mover, thing]` what objects touch before anything has moved."""
+        last = self.plant.last
+        shape = (len(self.plant.sensed.movers), len(self.plant.sensed.things))
+        lying = np.zeros(shape, bool) if last is None else last.touching[-1].copy()
+        lying[:OBJECTS] = False
+        return lying
 
     def run(self) -> Steps:
         """From the plan's start to its end, or to what went wrong; returns an `Ending`."""
@@ -144,7 +153,7 @@ class Execution:
         """Keep the configuration while the gripper or the objects move."""
         q = np.repeat(self.plant.target[None], max(1, round(seconds / self.plant.dt)), axis=0)
         for chunk in self.plant.chunks(q, np.zeros_like(q), grip):
-            yield from self.plant.step(chunk, self.plant.resting(self.object))
+            yield from self.plant.step(chunk, self.reaching())
 
     def close(self) -> Steps:
         """Grip."""
@@ -196,12 +205,24 @@ class Execution:
         far = (away > self.config.moved_by) | (turn > self.config.turned_by)
         return Ending.MOVED if far.any() else None
 
+    def reaching(self) -> np.ndarray:
+        """`[mover, thing]` contacts that may be while fingers reach for the object, close and open.
+
+        The object may touch what it touched before and what it is lifted from or put on: fingers
+        must not push it into a neighbour or a wall.
+        """
+        allowed, things = self.plant.resting(self.object), self.plant.sensed.things
+        row = OBJECTS + self.object
+        allowed[row] = allowed[OBJECTS:, self.object] = False
+        allowed[row, [things.index(support) for support in self.task.support]] = True
+        return allowed | self.lying
+
     def allowed(self, grip: float) -> np.ndarray:
         """`[mover, thing]` contacts that may be now.
 
         A held object may touch only what it is lifted from or put on, and only there.
         """
-        allowed, things = self.plant.resting(self.object), self.plant.sensed.things
+        allowed, things = self.reaching(), self.plant.sensed.things
         if grip == self.gripper.open:
             return allowed
         row = OBJECTS + self.object

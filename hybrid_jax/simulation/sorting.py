@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Sort all objects of a cell into their trays: plan, carry out, look, and try again."""
 
+import itertools
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,6 +15,9 @@ from hybrid_jax.types import Source, Status
 
 AGAIN = Ending.MOVED, Ending.BLOCKED, Ending.MISSED
 """Endings after which the object is tried again."""
+ON_FLOOR, ROUNDING = 0.005, 0.001
+"""An object lies in its tray if its lowest point is this near to the floor [m], and nothing of it
+stands out over the rim by more than this [m]."""
 LEANING = np.radians(15.0)
 """An object that is tilted by more than this cannot be gripped from above [rad]."""
 
@@ -23,20 +27,28 @@ class ObjectReport:
     """What became of one object."""
 
     name: str
+    placed: bool = False
+    """It lies in its tray at the end, whatever was touched on the way."""
     success: bool = False
     """It lies in its tray, at rest, and nothing that should not be touched was touched."""
     cause: str = "no plan"
     """Why not; empty for a success."""
     detail: str = ""
     """The sentence to it."""
+    asked: int = 0
+    """Plans that were asked for, ..."""
     tries: int = 0
-    """Plans that were carried out."""
+    """... and that were carried out."""
     planning_s: float = 0.0
     """Time of all plans [s]."""
     cycle_s: float = 0.0
     """Simulated time [s]."""
     shares: dict[str, float] = field(default_factory=dict)
-    """Share of the last plan's points from each source."""
+    """Share of the last plan's points from each source, ..."""
+    way_rad: float = 0.0
+    """... its way: sum over the phases of the joints' common length [rad], ..."""
+    motion_s: float = 0.0
+    """... and how long its motions take [s]."""
 
 
 class Sorting:
@@ -129,6 +141,7 @@ class Sorting:
             self.plant.sensed.cell, report.name, poses,
             start=self.plant.target, grasp=self.grasps[report.name],
         )  # fmt: skip
+        report.asked += 1
         answer = yield Plan(task)
         report.planning_s += answer.seconds
         result = answer.result
@@ -137,6 +150,9 @@ class Sorting:
             return None
         shares = result.shares
         report.shares = {source.name: round(shares[source], 3) for source in Source}
+        steps = [np.diff(phase.positions, axis=0) for phase in result.phases]
+        report.way_rad = round(float(sum(np.linalg.norm(s, axis=1).sum() for s in steps)), 3)
+        report.motion_s = round(float(sum(phase.times[-1] for phase in result.phases)), 3)
         execution = Execution(self.plant, task, result.phases, self.config)
         if self.pushed == report.name:
             execution.disturb = self._push
@@ -174,17 +190,27 @@ class Sorting:
             report.cause, report.detail = "collision", "; ".join(map(str, touches))
         if not report.cause and not lies:
             report.cause, report.detail = "wrong place", "it does not lie in its tray at the end"
-        report.success = lies and not report.cause
+        report.placed, report.success = lies, lies and not report.cause
 
 
 def in_tray(plant: Plant, name: str) -> bool:
-    """Does an object lie in its tray, at rest?"""
+    """Does an object lie in its tray: all of it within the rim, on the floor, at rest?"""
     tray, model = plant.spec.tray(plant.spec.object(name).tray), plant.model
     body, index = model.body(tray.name).id, plant.layout.object_names.index(name)
-    local = plant.data.xmat[body].reshape(3, 3).T @ (
-        plant.data.xpos[plant.layout.object_bodies[index]] - plant.data.xpos[body]
-    )
-    inside = (np.abs(local[:2]) <= tray.half_size).all()
-    return bool(
-        inside and -0.01 < local[2] - tray.floor < 0.06 and plant.object_speed(index) < 0.05
-    )
+    corners = np.concatenate([
+        _corners(plant, geom)
+        for geom in range(model.ngeom)
+        if model.geom_bodyid[geom] == plant.layout.object_bodies[index]
+    ])  # fmt: skip
+    local = (corners - plant.data.xpos[body]) @ plant.data.xmat[body].reshape(3, 3)
+    inside = (np.abs(local[:, :2]) <= np.add(tray.half_size, ROUNDING)).all()
+    lies = abs(local[:, 2].min() - tray.floor) < ON_FLOOR
+    return bool(inside and lies and plant.object_speed(index) < 0.05)
+
+
+def _corners(plant: Plant, geom: int) -> np.ndarray:
+    """`[8, 3]` corners of a geom's bounding box in the world [m]."""
+    model, data = plant.model, plant.data
+    middle, half = np.split(model.geom_aabb[geom], 2)
+    local = middle + half * np.array(list(itertools.product((-1, 1), repeat=3)))
+    return data.geom_xpos[geom] + local @ data.geom_xmat[geom].reshape(3, 3).T

@@ -8,13 +8,16 @@ from dataclasses import dataclass
 import jax
 
 from hybrid_jax.errors import RunFolderError, UnknownNameError
+from hybrid_jax.planner.ablations import ABLATIONS, ablated
 from hybrid_jax.planner.directly import joint_agent_only
-from hybrid_jax.planner.loading import load_planner
+from hybrid_jax.planner.loading import load_learned_chooser, load_planner
 from hybrid_jax.planner.pipeline import lfd_only, plan_batch
 from hybrid_jax.planner.records import Planner, PlanResult
+from hybrid_jax.planner.unchecked import follow_skills
 from hybrid_jax.progress import Progress
 from hybrid_jax.runfolder import Run
 from hybrid_jax.simulation.disturbances import CALM, DISTURBED, Disturbance
+from hybrid_jax.simulation.execution import ExecutionConfig
 from hybrid_jax.simulation.runs import planning
 from hybrid_jax.skills.task import Task
 from hybrid_jax.studies.rivals import paper_run, whole_space_agent
@@ -23,13 +26,17 @@ from hybrid_jax.terminal import remark
 METHODS = {
     "hybrid": "skills and joint agent, as the planner is used",
     "paper": "the same with the paper's agents (preset `paper`)",
-    "lfd": "skills alone",
+    "lfd": "skills alone; what the final check refuses is not executed",
+    "lfd_executed": "skills alone, executed as they are, as in the paper",
     "drl": "a joint agent of the whole work space alone, from key pose to key pose",
     "ompl": "OMPL's RRT-Connect between the same key poses",
     "disturbed": "hybrid, with what `simulation.disturbances.DISTURBED` changes",
+    **{f"ablation_{name}": f"hybrid, with {what}" for name, what in ABLATIONS.items()},
 }
 """What can be compared."""
 
+ABLATION = "ablation_"
+"""What the names of ablations begin with."""
 PlanMany = Callable[..., list[PlanResult]]
 
 
@@ -41,6 +48,8 @@ class Contestant:
     planner: Planner
     plan: PlanMany
     disturbance: Disturbance = CALM
+    execution: ExecutionConfig = ExecutionConfig()
+    """How what is planned is carried out."""
 
 
 def one_by_one(plan: Callable[..., PlanResult]) -> PlanMany:
@@ -95,6 +104,12 @@ def contestant(name: str, run: Run, paper: Run | None) -> Contestant | None:
         return Contestant(name, whole_space_agent(run, planner), one_by_one(joint_agent_only))
     if name == "lfd":
         return Contestant(name, lfd_only(planner), plan_batch)
+    if name == "lfd_executed":  # once, as nothing else would come of it again
+        return Contestant(name, planner, follow_skills, execution=ExecutionConfig(tries=1))
+    if name.startswith(ABLATION):
+        part = name.removeprefix(ABLATION)
+        other = ablated(part, planner, run.preset, lambda: load_learned_chooser(run))
+        return Contestant(name, other, plan_batch)
     return Contestant(name, planner, plan_batch, DISTURBED if name == "disturbed" else CALM)
 
 

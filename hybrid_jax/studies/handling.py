@@ -7,6 +7,7 @@ from dataclasses import asdict
 import numpy as np
 
 from hybrid_jax import seeds
+from hybrid_jax.planner.ablations import ABLATIONS
 from hybrid_jax.runfolder import Run
 from hybrid_jax.simulation.runs import SortingReport, sort_scenes
 from hybrid_jax.studies.contestants import Contestant, carry_out
@@ -16,7 +17,10 @@ from hybrid_jax.types import Workcell
 
 SEEDS = seeds.HANDLING_STUDY
 """Of its scenes."""
-METHODS = ("hybrid", "lfd", "drl", "ompl", "disturbed", "paper")
+METHODS = (
+    "hybrid", "lfd", "lfd_executed", "drl", "ompl", "disturbed", "paper",
+    *(f"ablation_{name}" for name in ABLATIONS),
+)  # fmt: skip
 """Methods that are compared if none is named."""
 
 
@@ -27,7 +31,8 @@ def run_contestant(
     return carry_out(
         one, "runs", len(numbers), numbers[0],
         lambda plan, progress: sort_scenes(
-            cell, plan, numbers, disturbance=one.disturbance, progress=progress
+            cell, plan, numbers, disturbance=one.disturbance, config=one.execution,
+            progress=progress,
         ),
         quiet,
     )  # fmt: skip
@@ -62,6 +67,12 @@ def summarize(rows: list[dict], seconds: dict[str, float]) -> list[dict]:
         won, causes = [row["success"] for row in own], [row["cause"] for row in own]
         metrics.add(f"{method}_success", *rate(won, causes))
         metrics.add(f"{method}_object_success", *rate([item["success"] for item in objects]))
+        metrics.add(f"{method}_object_placed", *rate([item["placed"] for item in objects]))
+        first = [_first_try(item) for item in objects]
+        at_once = [row["success"] and all(_first_try(i) for i in row["objects"]) for row in own]
+        metrics.add(f"{method}_first_try", *rate(at_once))
+        metrics.add(f"{method}_object_first_try", *rate(first))
+        _add_plans(metrics, method, objects)
         done = [row["cycle_s"] for row in own if row["success"]]
         if done:
             middle = float(np.median(done))
@@ -73,6 +84,25 @@ def summarize(rows: list[dict], seconds: dict[str, float]) -> list[dict]:
             text = f"{len(own)} runs took {took:.0f} s, compilation included"
             metrics.add("seconds_100", took * 100 / len(own), "s", "lower", text)
     return metrics.rows
+
+
+def _first_try(item: dict) -> bool:
+    """Was an object placed by the first plan that was asked for?"""
+    return bool(item["success"] and item["asked"] == item["tries"] == 1)
+
+
+def _add_plans(metrics: Metrics, method: str, objects: list[dict]) -> None:
+    """How long the plans of placed objects are, and what they come from."""
+    planned = [item for item in objects if item["tries"] and item["motion_s"] > 0]
+    if not planned:
+        return
+    note = f"mean of the last plan of {len(planned)} objects"
+    way, motion = (float(np.mean([i[key] for i in planned])) for key in ("way_rad", "motion_s"))
+    metrics.add(f"{method}_way", way, "rad", "lower", note)
+    metrics.add(f"{method}_motion", motion, "s", "lower", note)
+    for source in planned[0]["shares"]:
+        share = float(np.mean([item["shares"].get(source, 0.0) for item in planned]))
+        metrics.add(f"{method}_share_{source.lower()}", share, "1", "", note)
 
 
 def learning(run: Run) -> list[dict]:

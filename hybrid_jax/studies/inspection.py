@@ -33,11 +33,11 @@ def run_contestant(
 ) -> tuple[list[InspectionReport], float]:
     """A trial of every part for each number, and the time that they took [s], with compiling.
 
-    Each has a seed of its own, counted from the first number on.
+    Each has a seed of its own.
     """
     parts = require_inspection(cell).parts
     trials = [
-        Trial(part.name, numbers[0] + len(parts) * (seed - numbers[0]) + number)
+        Trial(part.name, _trial_seed(seed, number, len(parts)))
         for number, part in enumerate(parts)
         for seed in numbers
     ]
@@ -48,6 +48,12 @@ def run_contestant(
         ),
         quiet,
     )  # fmt: skip
+
+
+def _trial_seed(seed: int, part: int, parts: int) -> int:
+    """A seed for each trial of a run; those of the study stay in its range."""
+    first = SEEDS.start if seed >= SEEDS.start else 0
+    return first + parts * (seed - first) + part
 
 
 def row_of(method: str, report: InspectionReport) -> dict:

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: MIT
+"""The planner with one of its parts replaced by something that learned nothing.
+
+What a part is worth shows by what is lost without it. Everything else stays, RRT-Connect behind the
+joint agent too.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from jax import Array
+
+from hybrid_jax.agents import joint, networks
+from hybrid_jax.agents.joint import Bridger
+from hybrid_jax.agents.segments import Segments
+from hybrid_jax.agents.switching import Combined
+from hybrid_jax.kernels.edges import paths_are_free
+from hybrid_jax.planner.bridging import rrt_bridger
+from hybrid_jax.planner.lfd import SkillChooser
+from hybrid_jax.planner.loading import optimal_switcher
+from hybrid_jax.planner.records import Planner
+from hybrid_jax.presets import Preset
+from hybrid_jax.rrt import RrtConfig
+from hybrid_jax.types import Workcell
+
+ABLATIONS = {
+    "rrt": "RRT-Connect in the joint agent's place",
+    "untrained": "a joint agent that was never trained",
+    "straight": "the straight joint line in the joint agent's place",
+    "rule": "the joint agent wherever it has a motion, in the switching agent's place",
+    "optimal_switch": "exact switching in the switching agent's place",
+    "dqn": "the hierarchical DQN in the exact task planner's place",
+}
+"""What is replaced, by name."""
+
+
+def rule_switcher(combined: Combined) -> np.ndarray:
+    """The joint agent wherever it has a motion (a `Switcher`)."""
+    return np.asarray(combined.available).astype(int)
+
+
+def straight_bridger(cell: Workcell) -> Bridger:
+    """The straight joint line, where it is proven free."""
+
+    def bridge(segments: Segments, key: Array) -> list[np.ndarray | None]:
+        del key
+        ends = zip(np.asarray(segments.start), np.asarray(segments.goal), strict=True)
+        lines = [np.stack(pair) for pair in ends]
+        free = paths_are_free(cell, segments.scene, lines)
+        return [line if good else None for line, good in zip(lines, free, strict=True)]
+
+    return bridge
+
+
+def untrained_bridger(cell: Workcell, config: joint.JointAgentConfig) -> Bridger:
+    """The joint agent with the weights that its training begins with."""
+    net = joint.make_net(cell, config)
+    policy = networks.blank_policy(net, joint.observation_length(cell, config))
+    return joint.make_bridger(cell, net, policy, config)
+
+
+def ablated(
+    name: str, planner: Planner, preset: Preset, chooser: Callable[[], SkillChooser]
+) -> Planner:
+    """A planner with one part replaced.
+
+    Args:
+        name: of `ABLATIONS`.
+        planner: complete.
+        preset: that its agents were made by.
+        chooser: makes the hierarchical DQN's, where it is asked for.
+    """
+    cell = planner.cell
+    if name == "rrt":
+        return replace(planner, bridge=rrt_bridger(cell, planner.config.fallback or RrtConfig()))
+    if name == "untrained":
+        return replace(planner, bridge=untrained_bridger(cell, preset.joint))
+    if name == "straight":
+        return replace(planner, bridge=straight_bridger(cell))
+    if name == "rule":
+        return replace(planner, switch=rule_switcher)
+    if name == "optimal_switch":
+        return replace(planner, switch=optimal_switcher(preset.switch))
+    return replace(planner, choose=chooser())
