@@ -1,35 +1,42 @@
-# Two commands matter: `make train` and `make test`. Both create .venv from plain python3.
+# Two commands matter: `make train` and `make test`. Both create $(VENV) from plain python3.
 PYTHON ?= python3
-BIN := .venv/bin
+VENV ?= .venv
+BIN := $(VENV)/bin
 TRAIN_ARGS ?=
 
-.PHONY: train test slow check docs dist format clean
+.PHONY: train test slow tiny check docs figures dist format clean
 
-.venv/.installed: pyproject.toml constraints.txt
-	$(PYTHON) -m venv .venv
+$(VENV)/.installed: pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	touch $@
 
-train: .venv/.installed
+train: $(VENV)/.installed
 	$(BIN)/python -m hybrid_jax.train $(TRAIN_ARGS)
 
-test: .venv/.installed
+test: $(VENV)/.installed
 	$(BIN)/python -m pytest
 
-slow: .venv/.installed
+slow: $(VENV)/.installed
 	XLA_FLAGS= $(BIN)/python -m pytest -n 0 -m slow
 
-check: .venv/.installed
+tiny: $(VENV)/.installed
+	XLA_FLAGS= $(BIN)/python -m pytest -n 2 -m tiny tests/test_figures.py
+
+check: $(VENV)/.installed
 	$(BIN)/ruff check .
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
-format: .venv/.installed
+format: $(VENV)/.installed
 	$(BIN)/ruff check --fix .
 
-docs: .venv/.installed
+docs: $(VENV)/.installed
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 
-dist: .venv/.installed
+figures: $(VENV)/.installed
+	$(BIN)/python -m benchmarks.figures
+
+dist: $(VENV)/.installed
 	$(BIN)/python -m build
 
 clean:

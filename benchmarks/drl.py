@@ -114,6 +114,7 @@ def main(
     seeds: int = 5,
     ablation_seeds: int = 3,
     test: int = drl_problems.HELD_OUT,
+    tiny: bool = False,
 ) -> None:
     """Print all figures.
 
@@ -126,10 +127,13 @@ def main(
         seeds: trainings of each agent.
         ablation_seeds: trainings of each variant of the world.
         test: held-out segments, 500 at most.
+        tiny: as little of everything as shows that it runs.
     """
     hj.use_all_cores()
-    cell = load_workcell("gen3_handling")
-    found = drl_problems.problems(cell, problems)
+    cell, sizes = load_workcell("gen3_handling"), drl_problems.Sizes()
+    if tiny:
+        sizes, steps, seeds, ablation_seeds, test = drl_problems.TINY, 16_384, 1, 1, 8
+    found = drl_problems.problems(cell, problems, sizes)
     found = found.replace(held_out=take(found.held_out, slice(test)))
     numbers, curves = tuple(range(seeds)), {}
 
@@ -151,7 +155,7 @@ def main(
     for part in PARTS:
         if part in parts:
             rows += runs[part]()
-            write(rows, json)
+            write(rows, json, drl_problems.SEEDS)
     if picture and len(curves) == 2:
         draw(picture, curves["paper"], curves["default"])
 

@@ -5,6 +5,7 @@ The test takes infeasible segments of tasks that nothing was tuned on, those tha
 solves: an agent that fails on one of them fails on something that can be done.
 """
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import jax
@@ -23,9 +24,25 @@ from hybrid_jax.rrt import plan_paths
 from hybrid_jax.seeds import BENCHMARK_TRAINING, JOINT_AGENT_TEST
 from hybrid_jax.types import Workcell, pytree
 
-TRAINING_TASKS = 100
+SEEDS = {"BENCHMARK_TRAINING": BENCHMARK_TRAINING, "JOINT_AGENT_TEST": JOINT_AGENT_TEST}
+"""Ranges that the tasks are drawn from."""
 HELD_OUT = 500
 """Segments of the test."""
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """How much is collected."""
+
+    training: int = 100
+    """Tasks to train on."""
+    held_out: int = HELD_OUT
+    """Segments of the test, ..."""
+    together: int = 30
+    """... collected from so many tasks at a time."""
+
+
+TINY = Sizes(training=4, held_out=8, together=4)
 
 
 @pytree
@@ -59,35 +76,35 @@ def rrt_paths(cell: Workcell, segments: Segments, batch: int = 64) -> list[np.nd
     return found[:count]
 
 
-def unseen(cell: Workcell, scale: float) -> Segments:
+def unseen(cell: Workcell, scale: float, sizes: Sizes) -> Segments:
     """The segments of the test."""
     parts, found, tried, first = [], 0, 0, JOINT_AGENT_TEST.start
-    while found < HELD_OUT:
-        segments = collect(cell, scale, first, 30)
+    while found < sizes.held_out:
+        segments = collect(cell, scale, first, sizes.together)
         good = np.array([path is not None for path in rrt_paths(cell, segments)])
         parts.append(take(segments, np.flatnonzero(good)))
-        found, tried, first = found + int(good.sum()), tried + len(good), first + 30
+        found, tried, first = found + int(good.sum()), tried + len(good), first + sizes.together
     tasks = first - JOINT_AGENT_TEST.start
     print(f"held out: {found} of {tried} segments of {tasks} tasks are solvable")
-    return take(join(parts), slice(HELD_OUT))
+    return take(join(parts), slice(sizes.held_out))
 
 
-def draw(cell: Workcell) -> Problems:
+def draw(cell: Workcell, sizes: Sizes) -> Problems:
     """All of them, from scratch."""
     # the scale is drawn from random configurations: any grid will do
     scale = float(build_feasibility_map(cell, SMOKE.map).manipulability_scale)
-    training = collect(cell, scale, BENCHMARK_TRAINING.start, TRAINING_TASKS)
-    return Problems(training, free_pairs(cell, training), unseen(cell, scale))
+    training = collect(cell, scale, BENCHMARK_TRAINING.start, sizes.training)
+    return Problems(training, free_pairs(cell, training), unseen(cell, scale, sizes))
 
 
-def problems(cell: Workcell, file: Path | None) -> Problems:
+def problems(cell: Workcell, file: Path | None, sizes: Sizes = Sizes()) -> Problems:
     """From a file if it is there, else from scratch (and into the file)."""
     if file and file.is_file():
         state = artifacts.load(file, "problems", cell.source.digest)[1]
-        scene = jax.tree.map(lambda a: a[None], cell.scene)
-        template = Problems(*[Segments(scene, None, None)] * 3)
-        return jax.tree.map(jnp.asarray, artifacts.restore(template, state, str(file)))
-    found = draw(cell)
+        template = Problems(*[Segments(cell.scene, cell.home, cell.home)] * 3)
+        found = artifacts.restore(template, state, str(file), batched=True)
+        return jax.tree.map(jnp.asarray, found)
+    found = draw(cell, sizes)
     if file:
         artifacts.save(file, "problems", cell.source.digest, found)
     return found

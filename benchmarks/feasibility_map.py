@@ -6,6 +6,7 @@ every solution. The same engine checks the configurations that the map calls fea
 """
 
 import time
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import jax
@@ -32,8 +33,24 @@ from hybrid_jax.workcell.load import load_workcell
 GRID = MapConfig(lower=(0.0, -0.6, 0.0), upper=(0.95, 0.55, 0.75), spacing=0.05, orientations=521)
 """The paper's task range, 1.0 x 1.2 x 0.8 m: 20 x 24 x 16 voxels, 4,001,280 poses."""
 ORACLE = IkConfig(seeds=64, iterations=60)
-ORACLE_POSES = 2000
-REACHABLE = 2000
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """How much is measured."""
+
+    grid: MapConfig = GRID
+    oracle: int = 2000
+    """Poses that the oracle judges, ..."""
+    reachable: int = 2000
+    """... that IK must find, ..."""
+    bullet: int = 5000
+    """... that PyBullet solves ..."""
+    mink: int = 300
+    """... and mink."""
+
+
+TINY = Sizes(replace(GRID, spacing=0.4, orientations=2), 10, 10, 10, 5)
 DEEPEST = -1e-4
 """A contact less deep than this is none: float32 and the engine differ by as much [m]."""
 
@@ -83,15 +100,16 @@ def oracle_labels(cell, spread, check: Checker, positions, quats, least: float) 
     return np.array(labels)
 
 
-def against_oracle(cell, spread, fmap: FeasibilityMap) -> dict[str, float]:
+def against_oracle(cell, spread, fmap: FeasibilityMap, sizes: Sizes) -> dict[str, float]:
     """Agreement with the oracle on random poses of the grid, and the feasible ones that fail."""
     rng = np.random.default_rng(11)
-    index = rng.choice(GRID.size, ORACLE_POSES, replace=False)
-    positions, quats = poses_at(GRID, index)
+    grid = sizes.grid
+    index = rng.choice(grid.size, sizes.oracle, replace=False)
+    positions, quats = poses_at(grid, index)
     ours = np.asarray(fmap.reason).ravel()[index] == Reason.FEASIBLE
-    q = np.asarray(fmap.configuration).reshape(GRID.size, -1)[index].astype(float)
+    q = np.asarray(fmap.configuration).reshape(grid.size, -1)[index].astype(float)
     check = Checker(cell)
-    least = float(fmap.manipulability_scale) * GRID.least_manipulability
+    least = float(fmap.manipulability_scale) * grid.least_manipulability
     oracle = oracle_labels(cell, spread, check, positions, quats, least)
     verified = np.array([
         bool(mine and check.reaches(x, p, r) and check.free(x))
@@ -106,11 +124,11 @@ def against_oracle(cell, spread, fmap: FeasibilityMap) -> dict[str, float]:
     }
 
 
-def reachable_found(cell, spread) -> tuple[float, float]:
+def reachable_found(cell, spread, count: int) -> tuple[float, float]:
     """Share of provably reachable, collision-free poses that IK solves free; and its rate."""
     check = Checker(cell)
-    q = configurations(cell, 4 * REACHABLE, seed=5)
-    q = np.array([row for row in q if check.free(row)])[:REACHABLE]
+    q = configurations(cell, 4 * count, seed=5)
+    q = np.array([row for row in q if check.free(row)])[:count]
     poses = np.asarray(jax.vmap(tool_pose, (None, 0))(cell, jnp.asarray(q)))
     config = IkConfig(seeds=32, iterations=50, clearance=1e-4)
     solve = spread.over(lambda cell, pose, key: solve_ik(cell, pose, config=config, key=key), 2)
@@ -125,13 +143,13 @@ def reachable_found(cell, spread) -> tuple[float, float]:
     return float(np.mean(good)), speed
 
 
-def bullet_rate(cell) -> tuple[float, ...] | None:
+def bullet_rate(cell, sizes: Sizes) -> tuple[float, ...] | None:
     """Poses per second of IK and collision in PyBullet, with the shares solved and feasible."""
     bullet = rivals.bullet(cell)
     if not bullet:
         return None
-    index = np.random.default_rng(2).choice(GRID.size, 5000, replace=False)
-    positions, quats = poses_at(GRID, index)
+    index = np.random.default_rng(2).choice(sizes.grid.size, sizes.bullet, replace=False)
+    positions, quats = poses_at(sizes.grid, index)
     turns = quats[:, [1, 2, 3, 0]].astype(float)
     began = time.perf_counter()
     verdicts = [bullet.judge(p, r) for p, r in zip(positions.astype(float), turns, strict=True)]
@@ -139,22 +157,30 @@ def bullet_rate(cell) -> tuple[float, ...] | None:
     return len(index) / seconds, *np.mean(verdicts, axis=0)
 
 
-def main(json: Path | None = None, picture: Path | None = None) -> None:
-    """Measure and print; write JSON and the map's picture if asked to."""
+def main(json: Path | None = None, picture: Path | None = None, tiny: bool = False) -> None:
+    """Measure and print; write JSON and the map's picture if asked to.
+
+    Args:
+        json: file for the figures.
+        picture: PNG for the map.
+        tiny: as little of everything as shows that it runs.
+    """
     use_all_cores()
+    sizes = TINY if tiny else Sizes()
+    grid = sizes.grid
     cell, spread = load_workcell(CELL), Spread()
     began = time.perf_counter()
     build_feasibility_map(cell, MapConfig(spacing=0.4, orientations=2))
     compiled = time.perf_counter() - began
-    rival = bullet_rate(cell)
+    rival = bullet_rate(cell, sizes)
     began = time.perf_counter()
-    fmap = build_feasibility_map(cell, GRID, progress=Progress("map", "poses"))
+    fmap = build_feasibility_map(cell, grid, progress=Progress("map", "poses"))
     seconds = time.perf_counter() - began
     if picture:
         draw_map(picture, fmap)
-    speed, scale = GRID.size / seconds, 4e6 / GRID.size
-    result = against_oracle(cell, spread, fmap)
-    found, ik_rate = reachable_found(cell, spread)
+    speed, scale = grid.size / seconds, 4e6 / grid.size
+    result = against_oracle(cell, spread, fmap, sizes)
+    found, ik_rate = reachable_found(cell, spread, sizes.reachable)
     poses = jnp.asarray(
         np.asarray(jax.vmap(tool_pose, (None, 0))(cell, configurations(cell, 4096)))
     )
@@ -162,25 +188,27 @@ def main(json: Path | None = None, picture: Path | None = None) -> None:
     asked, _ = rate(lambda: ask(fmap, poses), len(poses))
     figures = [
         metric("map.compile", compiled, "s", "lower", "a map of a few poses, all programs"),
-        metric("map.seconds_4m", seconds * scale, "s", "lower", f"{GRID.size} poses"),
+        metric("map.seconds_4m", seconds * scale, "s", "lower", f"{grid.size} poses"),
         metric("map.poses", speed, "1/s", "higher", f"{len(spread.devices)} devices"),
         metric("map.feasible_share", result["feasible"], "1", "higher", "of the oracle's poses"),
         metric("map.oracle_agreement", result["agreement"], "1", "higher",
-               f"{ORACLE_POSES} poses, 64 seeds"),
+               f"{sizes.oracle} poses, 64 seeds"),
         metric("map.false_feasible", result["false"], "1", "lower", "C MuJoCo refuses it"),
         metric("map.missed", result["missed"], "1", "lower", "the oracle found a way"),
         metric("map.beyond_oracle", result["beyond"], "1", "higher",
                "verified, and the oracle found none"),
-        metric("map.ik_found", found, "1", "higher", f"of {REACHABLE} poses, {ik_rate:.0f}/s"),
+        metric("map.ik_found", found, "1", "higher",
+               f"of {sizes.reachable} poses, {ik_rate:.0f}/s"),
         metric("map.query", 1e6 / asked, "us", "lower", "each, in a batch of 4096"),
     ]  # fmt: skip
     if rival:
-        rival = max(rival, bullet_rate(cell))  # before and after: a slow minute is not the rival's
+        # before and after: a slow minute is not the rival's
+        rival = max(rival, bullet_rate(cell, sizes))
         note = f"one seed; solves {rival[1]:.3f}, calls {rival[2]:.3f} feasible"
         figures.append(metric("map.pybullet", rival[0], "1/s", "higher", note))
         figures.append(metric("map.poses_vs_pybullet", speed / rival[0], "1", "higher"))
-    index = np.random.default_rng(2).choice(GRID.size, 300, replace=False)
-    positions, quats = poses_at(GRID, index)
+    index = np.random.default_rng(2).choice(grid.size, sizes.mink, replace=False)
+    positions, quats = poses_at(grid, index)
     solved, mink_speed = rivals.mink_solves(cell, positions, quats)
     figures.append(metric("map.mink", mink_speed, "1/s", "higher",
                           f"IK alone, one seed; solves {solved:.3f}"))  # fmt: skip

@@ -61,14 +61,18 @@ def try_reader(name: str, count: int) -> tuple[Counter, list[str]]:
     return Counter(found["outcomes"]), found["crashes"]
 
 
-def main(count: int = 100_000, only: str = "", json: Path | None = None) -> None:
+def main(
+    count: int = 100_000, only: str = "", json: Path | None = None, tiny: bool = False
+) -> None:
     """Try all readers.
 
     Args:
         count: files in all.
         only: the one reader to try, in this process.
         json: file for the figures.
+        tiny: as little of everything as shows that it runs.
     """
+    count = 200 if tiny else count
     if only:
         work(only, count)
         return

@@ -71,14 +71,16 @@ def turn_in_tool(plant: Plant, index: int) -> Rotation:
     return Rotation.from_matrix(tool.T @ body)
 
 
-def creep(sensed: SensedCell, model: mujoco.MjModel, task: Task) -> tuple[float, float]:
+def creep(
+    sensed: SensedCell, model: mujoco.MjModel, task: Task, seconds: float
+) -> tuple[float, float]:
     """How far [m] and by which angle [deg] a lifted object moves in the tool while it is held."""
     engine, index = HostEngine(sensed), sensed.layout.object_names.index(task.object_name)
     plant, way = at_grasp(sensed, model, task)
-    for motion, seconds in ((0 * way, 0.8), (way, 2.0), (0 * way, 0.5)):
-        drive([squeeze(plant, motion, seconds)], engine)
+    for motion, lasts in ((0 * way, 0.8), (way, 2.0), (0 * way, 0.5)):
+        drive([squeeze(plant, motion, lasts)], engine)
     before = plant.object_in_tool(index), turn_in_tool(plant, index)
-    drive([squeeze(plant, 0 * way, HOLD)], engine)
+    drive([squeeze(plant, 0 * way, seconds)], engine)
     turn = (before[1].inv() * turn_in_tool(plant, index)).magnitude()
     return float(np.linalg.norm(plant.object_in_tool(index) - before[0])), float(np.degrees(turn))
 
@@ -91,27 +93,31 @@ def transfers(cell: Workcell, tasks: list[Task]) -> list[float]:
     return [execute(cell, task, plan).slip for task, plan in zip(tasks, plans, strict=True)]
 
 
-def main(json: Path | None = None) -> None:
+def main(json: Path | None = None, tiny: bool = False) -> None:
     """Print all figures.
 
     Args:
         json: file to write them to.
+        tiny: as little of everything as shows that it runs.
     """
     cell = load_workcell("gen3_handling")
     sensed, poses = sense_cell(cell), sample_scene(cell, HOLDING.start)
     pyramids = copy.deepcopy(sensed.model)
     pyramids.opt.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
     tasks = [handling_task(cell, name, poses) for name in cell.source.layout.object_names]
+    tasks, seconds = (tasks[:1], 0.2) if tiny else (tasks, HOLD)
     found = []
     for task, slip in zip(tasks, transfers(cell, tasks), strict=True):
-        (way, turn), (far, wide) = (creep(sensed, m, task) for m in (sensed.model, pyramids))
+        (way, turn), (far, wide) = (
+            creep(sensed, model, task, seconds) for model in (sensed.model, pyramids)
+        )
         note = f"{turn:.3f} deg; as pyramids: {1e3 * far:.3f} mm, {wide:.3f} deg"
         found += [
             metric(f"holding.{task.object_name}_creep", 1e3 * way, "mm", "lower", note),
             metric(f"holding.{task.object_name}_transfer", 1e3 * slip, "mm", "lower",
                    "in the tool, from grip to release"),
         ]  # fmt: skip
-    write(found, json)
+    write(found, json, {"HOLDING": HOLDING})
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import jax
@@ -27,10 +28,24 @@ from hybrid_jax.workcell.contacts import forbidden_contacts
 from hybrid_jax.workcell.load import load_workcell
 
 CELL = "gen3_handling"
-BATCH = 65536
-IK_BATCH, MJX_BATCH = 1024, 512
-"""Of what is slow on a CPU; 16 times as many on an accelerator."""
-SIGNS = 100_000
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """How much is measured."""
+
+    batch: int = 65536
+    ik: int = 1024
+    """Poses of IK, and ..."""
+    mjx: int = 512
+    """... configurations of MJX: slow on a CPU; 16 times as many on an accelerator."""
+    signs: int = 100_000
+    """Configurations whose signs are compared."""
+    swept: int = 5000
+    """Configurations of a rival's turn."""
+
+
+TINY = Sizes(batch=512, ik=16, mjx=4, signs=200, swept=50)
 BAND = 1e-4
 """Clearances nearer to zero than this are left out of the comparison of signs [m]."""
 
@@ -109,10 +124,10 @@ def crossed(engine, q) -> bool:
     )
 
 
-def sign_agreement(cell, clear) -> tuple[float, float, int]:
+def sign_agreement(cell, clear, count: int) -> tuple[float, float, int]:
     """Share of equal signs, the same once geometry has decided the rest, and how many differ."""
     engine = rivals.Engine(cell)
-    q = configurations(cell, SIGNS, seed=1)
+    q = configurations(cell, count, seed=1)
     ours = clear(q)
     judged = np.flatnonzero(np.abs(ours) > BAND)
     theirs = np.array([engine.deepest(row) for row in q[judged]])
@@ -140,35 +155,37 @@ def mjx_rate(cell, q: np.ndarray) -> float:
     return rate(lambda: run(q), len(q))[0]
 
 
-def contest(cell, q: np.ndarray, ours) -> dict[str, float]:
+def contest(cell, q: np.ndarray, ours, swept: int) -> dict[str, float]:
     """Configurations per second of `ours`, of a plain jit(vmap) and of the engines, in turns."""
     engine, bullet = rivals.Engine(cell), rivals.bullet(cell)
     alone = jax.jit(jax.vmap(collision.clearance, (None, 0)))
     runs = {
-        "ours": (ours, BATCH),
-        "one device": (lambda: alone(cell, q), BATCH),
-        "mujoco": (lambda: engine.sweep(q[:5000]), 5000),
+        "ours": (ours, len(q)),
+        "one device": (lambda: alone(cell, q), len(q)),
+        "mujoco": (lambda: engine.sweep(q[:swept]), swept),
     }
     if bullet:
-        runs["pybullet"] = (lambda: bullet.sweep(q[:2000]), 2000)
+        runs["pybullet"] = (lambda: bullet.sweep(q[:swept]), swept)
     for run, _ in runs.values():
         jax.block_until_ready(run())
     return race(runs)
 
 
-def main(json: Path | None = None, mjx: bool = True) -> None:
+def main(json: Path | None = None, mjx: bool = True, tiny: bool = False) -> None:
     """Measure and print; write JSON if asked to.
 
     Args:
         json: file for the figures.
         mjx: measure MJX too; it compiles for about a minute.
+        tiny: as little of everything as shows that it runs.
     """
     use_all_cores()
+    sizes = TINY if tiny else Sizes()
     began = time.perf_counter()
     cold, warm = first_calls()
     cell = load_workcell(CELL)
     spread = Spread()
-    shared, q = spread.share(cell), configurations(cell, BATCH)
+    shared, q = spread.share(cell), configurations(cell, sizes.batch)
     items = spread.split(q)
     clear = spread.over(collision.clearance, 1)
     fk, rays = spread.over(tool_pose, 1), spread.over(sense, 1)
@@ -177,24 +194,24 @@ def main(json: Path | None = None, mjx: bool = True) -> None:
     began_first = time.perf_counter()
     jax.block_until_ready(clear(shared, items))
     first = time.perf_counter() - began_first
-    speed = contest(cell, q, lambda: clear(shared, items))
+    speed = contest(cell, q, lambda: clear(shared, items), sizes.swept)
     ours, native = speed["ours"], speed["mujoco"]
-    count_ik, count_mjx = (by_backend(n, 16 * n) for n in (IK_BATCH, MJX_BATCH))
+    count_ik, count_mjx = (by_backend(n, 16 * n) for n in (sizes.ik, sizes.mjx))
     keys = jax.random.split(jax.random.key(0), count_ik)
     some = spread.split(np.asarray(poses)[:count_ik]), spread.split(keys)
     found = float(jnp.mean(solve(shared, *some).found))
     flops, peak = operations(cell), arithmetic_peak()
-    count = -(-SIGNS // len(spread.devices)) * len(spread.devices)
+    count = -(-sizes.signs // len(spread.devices)) * len(spread.devices)
 
     def clear_many(many):
         padded = np.concatenate([many, many[: count - len(many)]])
         return np.asarray(clear(shared, spread.split(padded)))[: len(many)]
 
-    agree, decided, differ = sign_agreement(cell, clear_many)
+    agree, decided, differ = sign_agreement(cell, clear_many, sizes.signs)
     figures = [
         metric("kernels.first_call_cold", cold, "s", "lower", "clearance, empty compile cache"),
         metric("kernels.first_call_warm", warm, "s", "lower", "the same, compile cache filled"),
-        metric("kernels.batch_compile", first, "s", "lower", f"batch of {BATCH}"),
+        metric("kernels.batch_compile", first, "s", "lower", f"batch of {sizes.batch}"),
         metric("kernels.clearance", ours, "1/s", "higher", f"{len(spread.devices)} devices"),
         metric("kernels.clearance_one_device", speed["one device"], "1/s", "higher",
                "plain jit(vmap)"),
@@ -205,11 +222,11 @@ def main(json: Path | None = None, mjx: bool = True) -> None:
         metric("kernels.clearance_peak_share", ours * flops / peak, "1", "higher",
                f"{flops / 1e3:.0f} kflop each, peak {peak / 1e9:.0f} Gflop/s"),
         metric("kernels.clearance_sign_agreement", agree, "1", "higher",
-               f"{differ} of {SIGNS} differ"),
+               f"{differ} of {sizes.signs} differ"),
         metric("kernels.clearance_sign_right", decided, "1", "higher",
                "after geometry has decided where they differ"),
-        metric("kernels.fk", rate(lambda: fk(shared, items), BATCH)[0], "1/s", "higher"),
-        metric("kernels.rays", rate(lambda: rays(shared, poses), BATCH)[0], "1/s", "higher",
+        metric("kernels.fk", rate(lambda: fk(shared, items), sizes.batch)[0], "1/s", "higher"),
+        metric("kernels.rays", rate(lambda: rays(shared, poses), sizes.batch)[0], "1/s", "higher",
                "25 each"),
         metric("kernels.ik", rate(lambda: solve(shared, *some), count_ik)[0], "1/s",
                "higher", f"batch of {count_ik}, 16 seeds, {found:.4f} found"),

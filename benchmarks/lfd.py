@@ -44,7 +44,10 @@ def mapping_seconds(repeats: int = 50) -> list[dict]:
 
 
 def main(
-    json: Path | None = None, picture: Path | None = None, demonstrations: Path = SHARED
+    json: Path | None = None,
+    picture: Path | None = None,
+    demonstrations: Path = SHARED,
+    tiny: bool = False,
 ) -> None:
     """Print all figures.
 
@@ -52,16 +55,19 @@ def main(
         json: file to write them to.
         picture: learning curve to draw.
         demonstrations: folder of the RoboTasks files.
+        tiny: as little of everything as shows that it runs.
     """
-    metrics = lfd_learning.figures(picture)
-    metrics += mapping_seconds()
-    if demonstrations.is_dir():
+    metrics = lfd_learning.figures(picture, lfd_learning.TINY if tiny else lfd_learning.Sizes())
+    metrics += mapping_seconds(2 if tiny else 50)
+    if tiny:
+        print("tiny: the real demonstrations are left out")
+    elif demonstrations.is_dir():
         demos = lfd_maps.load_demonstrations(demonstrations)
         metrics += lfd_maps.figures(demos)
         metrics += lfd_missing.figures(demos)
     else:
         print(f"real demonstrations are absent ({demonstrations}): figures that need them left out")
-    write(metrics, json)
+    write(metrics, json, lfd_learning.DRAWN)
 
 
 if __name__ == "__main__":

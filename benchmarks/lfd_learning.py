@@ -7,6 +7,7 @@ steady from the first episode on after which its greedy return on the held-out t
 """
 
 import time
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import jax
@@ -32,9 +33,22 @@ from hybrid_jax.workcell.load import load_workcell
 
 matplotlib.use("Agg")
 
-SEEDS = 5
-TASKS = 100
-"""To train on, and again for the test: handling, inspection and chains of random skills."""
+DRAWN = {"LFD_TRAINING": LFD_TRAINING, "LFD_TEST": LFD_TEST}
+"""Ranges that the tasks are drawn from."""
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """How much is learned."""
+
+    seeds: int = 5
+    tasks: int = 100
+    """To train on, and again for the test: handling, inspection and chains of random skills."""
+    rounds: int | None = None
+    """Of a training; the preset's if None."""
+
+
+TINY = Sizes(seeds=2, tasks=3, rounds=2)
 NEAR = 0.01
 """A policy is steady while its return stays this near, as a share of the optimum."""
 
@@ -74,7 +88,7 @@ def chain_row(library: SkillLibrary, home: np.ndarray, rng: np.random.Generator)
     return np.stack(poses), carrying, count
 
 
-def draw_tasks(cell: Workcell, first: int, config: SkillConfig) -> SegmentCosts:
+def draw_tasks(cell: Workcell, first: int, config: SkillConfig, count: int) -> SegmentCosts:
     """Tasks of every kind in turn, those that the library covers."""
     library, home = read_library(), home_pose(cell)
     judge = jax.jit(lambda p, c, n: segment_costs(library, p, c, n, config))
@@ -84,7 +98,7 @@ def draw_tasks(cell: Workcell, first: int, config: SkillConfig) -> SegmentCosts:
         lambda seed: chain_row(library, home, np.random.default_rng(seed)),
     )
     found, seed = [], first
-    while len(found) < TASKS:
+    while len(found) < count:
         costs = judge(*(jnp.asarray(v) for v in kinds[seed % len(kinds)](seed)))
         if np.isfinite(optimal_costs(jax.tree.map(lambda a: a[None], costs))[0]):
             found.append(costs)
@@ -117,21 +131,21 @@ def steady_episode(episodes: np.ndarray, returns: np.ndarray, optimum: float) ->
     return float(episodes[away[-1] + 1]) if away.size else float(episodes[0])
 
 
-def study(name: str, train, test, config: dqn.DqnConfig) -> tuple[list[dict], list]:
+def study(name: str, train, test, config: dqn.DqnConfig, seeds: int) -> tuple[list[dict], list]:
     """Figures of one preset over several seeds, and its curves (episodes, returns)."""
     optimum = -float(optimal_costs(test).mean())
     run = make_training(train, test, config)
     began, curves, seconds = time.perf_counter(), [], []
-    for key in jax.random.split(jax.random.PRNGKey(config.seed), SEEDS):
+    for key in jax.random.split(jax.random.PRNGKey(config.seed), seeds):
         _, curve = jax.block_until_ready(run(key))
         episodes, returns, _ = (np.asarray(c) for c in curve)
         curves.append((episodes, returns))
         seconds.append(time.perf_counter() - began)
-        print(f"DQN{name}: {len(curves)} of {SEEDS} seeds, {seconds[-1]:.0f} s", flush=True)
+        print(f"DQN{name}: {len(curves)} of {seeds} seeds, {seconds[-1]:.0f} s", flush=True)
     shares = [optimum / returns[-1] for _, returns in curves]
     steady = [steady_episode(*curve, optimum) for curve in curves]
     ends = f"{min(steady):.0f} to {max(steady):.0f}"
-    seen = f"{SEEDS} seeds, lowest {min(shares):.4f}"
+    seen = f"{seeds} seeds, lowest {min(shares):.4f}"
     updates = config.rounds * config.updates
     return [
         metric(f"lfd.dqn_optimality{name}", float(np.median(shares)), "1", "higher", seen),
@@ -184,15 +198,19 @@ def draw(path: Path, curves: dict[str, list], optimum: float) -> None:
     plt.close(fig)
 
 
-def figures(picture: Path | None) -> list[dict]:
+def figures(picture: Path | None, sizes: Sizes) -> list[dict]:
     """Figures of the presets `default` and `paper` on the same tasks."""
     cell, config = load_workcell("gen3_handling"), SkillConfig()
-    train, test = (draw_tasks(cell, some.start, config) for some in (LFD_TRAINING, LFD_TEST))
+    train, test = (
+        draw_tasks(cell, some.start, config, sizes.tasks) for some in (LFD_TRAINING, LFD_TEST)
+    )
     note = "uniformly random admissible choices: the scale of the rows below"
     out = [metric("lfd.random_optimality", random_share(test), "1", "higher", note)]
     curves = {}
     for name, preset in (("default", DEFAULT), ("paper", PAPER)):
-        found, curves[name] = study("" if name == "default" else "_paper", train, test, preset.dqn)
+        agent = replace(preset.dqn, rounds=sizes.rounds or preset.dqn.rounds)
+        suffix = "" if name == "default" else "_paper"
+        found, curves[name] = study(suffix, train, test, agent, sizes.seeds)
         out += found
     if picture:
         draw(picture, curves, -float(optimal_costs(test).mean()))

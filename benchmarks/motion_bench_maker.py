@@ -160,14 +160,18 @@ def figures(table: dict[str, list[Row]], trajectories: list[tuple[bool, float]])
     ]  # fmt: skip
 
 
-def main(json: Path | None = None, folder: Path = FOLDER, every: int = 1) -> None:
+def main(
+    json: Path | None = None, folder: Path = FOLDER, every: int = 1, tiny: bool = False
+) -> None:
     """Print all figures.
 
     Args:
         json: file to write them to.
         folder: with the problems.
         every: take each n-th problem of a scene only.
+        tiny: as little of everything as shows that it runs.
     """
+    every = 50 if tiny else every
     hj.use_all_cores()
     if not (folder / "panda_problems.npz").exists():
         print(f"{folder} has no panda_problems.npz: nothing to run. The problems are not part of "

@@ -96,11 +96,13 @@ def rows_of(name: str, rows: list[dict]) -> list[dict]:
     return found
 
 
-def compare(learned: Learned, tasks: list[Task]) -> tuple[list[dict], dict[str, list[dict]]]:
+def compare(
+    learned: Learned, tasks: list[Task], warm: int
+) -> tuple[list[dict], dict[str, list[dict]]]:
     """All methods, each compiled on tasks of its own first."""
     cell, found, table = learned.planner.cell, [], {}
     for name, plan in (methods(learned) | ompl(learned)).items():
-        for number in range(10):
+        for number in range(warm):
             plan(random_task(cell, PLANNING_WARM_UP[number]), jax.random.key(number))
         table[name] = [trial(plan, learned.planner, task, i) for i, task in enumerate(tasks)]
         found += rows_of(name, table[name])
@@ -114,7 +116,7 @@ def compare(learned: Learned, tasks: list[Task]) -> tuple[list[dict], dict[str, 
 def headline(learned: Learned, table: dict[str, list[dict]]) -> list[dict]:
     """The figures of the issue that follow from the comparison."""
     own = table["hybrid"]
-    seams = np.array([r["seam"] for r in own if r["ok"] and np.isfinite(r["seam"])])
+    seams = np.array([r["seam"] for r in own if r["ok"] and np.isfinite(r["seam"])] or [np.nan])
     times = np.array([r["seconds"] for r in own])
     found = [
         metric("planning.seconds_median", float(np.median(times)), "s", "lower", "one task"),
@@ -124,6 +126,8 @@ def headline(learned: Learned, table: dict[str, list[dict]]) -> list[dict]:
         metric("planning.switch_optimality", float(learned.optimality.mean()), "1", "higher",
                f"{len(learned.optimality)} unseen phases; worst {learned.optimality.min():.3f}"),
     ]  # fmt: skip
+    found.append(metric("planning.switch_rule_optimality", float(learned.rule.mean()), "1",
+                        "higher", "of the rule in its place, on the same phases"))  # fmt: skip
     if "ompl" in table:
         both = [(a, b) for a, b in zip(own, table["ompl"], strict=True) if b["ok"]]
         pairs = [(a, b) for a, b in both if a["ok"]]
@@ -137,22 +141,22 @@ def headline(learned: Learned, table: dict[str, list[dict]]) -> list[dict]:
     return found
 
 
-def batch(learned: Learned, count: int) -> list[dict]:
-    """Rate of batches of 256 tasks; trajectories returned and rejected by the finer check."""
+def batch(learned: Learned, count: int, size: int) -> list[dict]:
+    """Rate of batches of so many tasks; trajectories returned and rejected by the finer check."""
     planner, cell = learned.planner, learned.planner.cell
     engine, checked, bad, rates = Engine(cell, FINER), 0, 0, []
-    for first in range(0, count, 256):
-        tasks = [random_task(cell, PLANNING_BATCHES[first + i]) for i in range(256)]
+    for first in range(0, count, size):
+        tasks = [random_task(cell, PLANNING_BATCHES[first + i]) for i in range(size)]
         began = time.perf_counter()
         results = plan_batch(planner, tasks, key=jax.random.key(first))
-        rates.append(256 / (time.perf_counter() - began))
+        rates.append(size / (time.perf_counter() - began))
         for task, result in zip(tasks, results, strict=True):
             checked += len(result.phases)
             bad += rejected(cell, engine, task, result) if result.phases else 0
-        print(f"batch of 256: {rates[-1]:.1f} plans/s, {bad} of {checked} rejected", flush=True)
+        print(f"batch of {size}: {rates[-1]:.1f} plans/s, {bad} of {checked} rejected", flush=True)
     return [
         metric("planning.batch_plans_per_second", float(np.median(rates[1:] or rates)), "1/s",
-               "higher", f"256 tasks; median of {len(rates)} batches but the first, which "
+               "higher", f"{size} tasks; median of {len(rates)} batches but the first, which "
                f"compiles; best {max(rates):.1f}"),
         metric("planning.rejected", bad, "1", "lower",
                f"of {checked} returned trajectories, by a check four times as dense"),
@@ -160,22 +164,28 @@ def batch(learned: Learned, count: int) -> list[dict]:
 
 
 
-def main(json: Path | None = None, tasks: int = 200, batched: int = 512) -> None:
+def main(
+    json: Path | None = None, tasks: int = 200, batched: int = 512, tiny: bool = False
+) -> None:
     """Print all figures.
 
     Args:
         json: file to write them to.
         tasks: random tasks of the comparison.
         batched: tasks that are planned in batches of 256; 3,500 for 10^4 trajectories.
+        tiny: as little of everything as shows that it runs.
     """
     hj.use_all_cores()
     cell = load_workcell("gen3_handling")
-    learned = learn(cell)
-    found, table = compare(learned, [random_task(cell, seed) for seed in PLANNING_TEST[:tasks]])
+    learned = learn(cell, tiny)
+    tasks, batched, size, warm = (2, 4, 4, 1) if tiny else (tasks, batched, 256, 10)
+    some = [random_task(cell, seed) for seed in PLANNING_TEST[:tasks]]
+    found, table = compare(learned, some, warm)
     found += headline(learned, table)
-    write(found, json)
-    found += batch(learned, batched)
-    write(found, json)
+    drawn = {"PLANNING_TEST": PLANNING_TEST, "PLANNING_BATCHES": PLANNING_BATCHES}
+    write(found, json, drawn)
+    found += batch(learned, batched, size)
+    write(found, json, drawn)
 
 
 if __name__ == "__main__":

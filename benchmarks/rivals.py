@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from hybrid_jax.devices import usable_cores
 from hybrid_jax.kernels.primitives import local_shapes, row_links
 from hybrid_jax.quiet import engine_messages
 from hybrid_jax.types import Workcell

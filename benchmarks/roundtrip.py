@@ -17,11 +17,11 @@ import tyro
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
-from hybrid_jax.seeds import ROUND_TRIPS  # noqa: E402
 from random_plans import random_cell, random_plan  # noqa: E402
 from roundtrips import Departures, depart  # noqa: E402
 
 from benchmarks.report import metric, write  # noqa: E402
+from hybrid_jax.seeds import ROUND_TRIPS  # noqa: E402
 
 PLANS = 20
 """Of each arm."""
@@ -62,7 +62,7 @@ def main(plans: int = 1000, json: Path | None = None, tiny: bool = False) -> Non
         metric("roundtrip.controller_violations", total.limits + total.refused, "", "lower",
                "times beyond a limit, and files that ROS 2 refuses"),
     ]  # fmt: skip
-    write(rows, json)
+    write(rows, json, {"ROUND_TRIPS": ROUND_TRIPS})
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The switching agent over the paper's 10,000 epochs, and preset `default`'s, against the optimum.
+"""The switching agent over 10,000 episodes, and preset `default`'s, against optimum and rule.
 
     python -m benchmarks.switching --json FILE --picture PNG
 
@@ -7,7 +7,7 @@ Five seeds each, on the same phases of training tasks; the optimum is the exact 
 reward (Viterbi). About ten minutes on two cores.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import jax
@@ -18,7 +18,13 @@ from scipy import stats
 
 import hybrid_jax as hj
 from benchmarks import drl_trainings
-from benchmarks.planning_methods import learn_planner, optimal_returns, switch_problems
+from benchmarks.planning_methods import (
+    SWITCH_TASKS,
+    SWITCH_TEST,
+    learn_planner,
+    optimal_returns,
+    switch_problems,
+)
 from benchmarks.report import interval, metric, write
 from hybrid_jax.agents import switching
 from hybrid_jax.agents.switching import STEPS, Combined, SwitchConfig
@@ -32,14 +38,16 @@ SEEDS = tuple(range(5))
 class Study:
     """One preset's agent."""
 
-    epochs: np.ndarray
-    """`[point]` episodes so far; the paper's epoch is one episode of 200 steps."""
+    episodes: np.ndarray
+    """`[point]` episodes of 200 steps so far; an epoch of the paper has 200 of them."""
     returns: np.ndarray
     """`[point, seed]` mean of the episodes that ended since the point before."""
     best: float
     """Mean return of the optimal choices on the training phases."""
     optimality: np.ndarray
     """`[seed]` mean return on unseen phases, over that of their optimum."""
+    rule: float
+    """The same of the rule: the joint agent wherever it has a motion."""
     infeasible: np.ndarray
     """`[seed]` share of the unseen phases' points that are chosen where they are infeasible, ..."""
     least: float
@@ -55,21 +63,36 @@ def chosen(problems: Combined, choice: np.ndarray) -> tuple[float, float]:
     return float(bad.mean()), float(np.abs(np.diff(choice, axis=1)).sum(axis=1).mean())
 
 
-def study(config: SwitchConfig, problems: Combined, test: Combined) -> Study:
+def settings(name: str, tiny: bool) -> SwitchConfig:
+    """Of a preset; with a short training to see that it runs."""
+    config = PRESETS[name].switch
+    return replace(config, training=PRESETS["smoke"].switch.training) if tiny else config
+
+
+def rule_return(test: Combined, config: SwitchConfig) -> float:
+    """Mean return of the joint agent wherever it has a motion."""
+    each = jax.vmap(lambda one: switching.episode_return(one, one.available, config))
+    return float(each(test).mean())
+
+
+def study(
+    config: SwitchConfig, problems: Combined, test: Combined, seeds: tuple[int, ...] = SEEDS
+) -> Study:
     """Train all seeds of one preset and try them on unseen phases."""
     net = switching.make_net(problems.q.shape[-1], config)
     world = switching.SwitchWorld(problems, config)
-    trained = drl_trainings.run(world, net, config.training, SEEDS)
+    trained = drl_trainings.run(world, net, config.training, seeds)
     run = jax.jit(lambda policy: switching.choose(net, policy, test, config))
     answers = [jax.device_get(run(policy)) for policy in trained.policies]
     picks = [chosen(test, choice) for choice, _ in answers]
     each = (jax.tree.map(lambda a, i=i: a[i], test) for i in range(len(test.available)))
     exact = np.stack([switching.optimal_switching(one, config)[0] for one in each])
     return Study(
-        epochs=np.array(trained.curve.steps) / STEPS,
+        episodes=np.array(trained.curve.steps) / STEPS,
         returns=np.array(trained.curve.total_reward) / config.scale,
         best=float(optimal_returns(problems, config).mean()),
         optimality=np.array([r.mean() for _, r in answers]) / optimal_returns(test, config).mean(),
+        rule=rule_return(test, config) / float(optimal_returns(test, config).mean()),
         infeasible=np.array([share for share, _ in picks]),
         least=chosen(test, exact)[0],
         switches=np.array([count for _, count in picks]),
@@ -83,28 +106,30 @@ def rows(name: str, found: Study, count: int) -> list[dict]:
     bad, bad_half = interval(found.infeasible)
     return [
         metric(f"switching.{name}_optimality", mean, "1", "higher",
-               f"+- {half:.4f}, {len(SEEDS)} seeds, lowest {found.optimality.min():.4f}; "
-               f"{count} unseen phases"),
+               f"+- {half:.4f}, {len(found.optimality)} seeds, lowest "
+               f"{found.optimality.min():.4f}; {count} unseen phases"),
+        metric(f"switching.{name}_rule_optimality", found.rule, "1", "higher",
+               "the rule: the joint agent wherever it has a motion"),
         metric(f"switching.{name}_infeasible", bad, "1", "lower",
                f"+- {bad_half:.4f}; share of points; the optimum leaves {found.least:.4f}"),
         metric(f"switching.{name}_switches", float(found.switches.mean()), "1", "lower",
                "changes of the source in a phase"),
         metric(f"switching.{name}_seconds", found.seconds, "s", "lower",
-               f"all seeds, {found.epochs[-1]:.0f} epochs"),
+               f"all seeds, {found.episodes[-1]:.0f} episodes"),
     ]  # fmt: skip
 
 
 def draw(path: Path, studies: dict[str, Study]) -> None:
-    """Return over epochs, mean of the seeds and its 95 % interval, and the optimum."""
+    """Return over episodes, mean of the seeds and its 95 % interval, and the optimum."""
     fig, axes = plt.subplots(1, len(studies), figsize=(5.5 * len(studies), 3.6),
                              layout="constrained")  # fmt: skip
     for axis, (name, found) in zip(np.atleast_1d(axes), studies.items(), strict=True):
         mean, spread = found.returns.mean(axis=1), found.returns.std(axis=1, ddof=1)
         half = stats.t.ppf(0.975, len(SEEDS) - 1) * spread / np.sqrt(len(SEEDS))
-        axis.fill_between(found.epochs, mean - half, mean + half, alpha=0.25, lw=0)
-        axis.plot(found.epochs, mean, lw=1.4, label=f"PPO, mean of {len(SEEDS)} seeds")
+        axis.fill_between(found.episodes, mean - half, mean + half, alpha=0.25, lw=0)
+        axis.plot(found.episodes, mean, lw=1.4, label=f"PPO, mean of {len(SEEDS)} seeds")
         axis.axhline(found.best, color="black", ls="--", lw=1, label="optimum (Viterbi)")
-        axis.set(xlabel="epochs (episodes of 200 steps)", ylabel="return of an episode",
+        axis.set(xlabel="episodes of 200 steps", ylabel="return of an episode",
                  title=f"preset {name}")  # fmt: skip
         axis.grid(alpha=0.3)
         axis.legend(loc="lower right")
@@ -112,19 +137,20 @@ def draw(path: Path, studies: dict[str, Study]) -> None:
     plt.close(fig)
 
 
-def main(json: Path | None = None, picture: Path | None = None) -> None:
+def main(json: Path | None = None, picture: Path | None = None, tiny: bool = False) -> None:
     """Print all figures.
 
     Args:
         json: file to write them to.
         picture: PNG to draw the training curves in.
+        tiny: as little of everything as shows that it runs.
     """
     hj.use_all_cores()
-    problems, test = switch_problems(
-        learn_planner(load_workcell("gen3_handling")), jax.random.key(0)
-    )
+    counts, seeds = ((2, 2), SEEDS[:2]) if tiny else ((SWITCH_TASKS, SWITCH_TEST), SEEDS)
+    planner = learn_planner(load_workcell("gen3_handling"), tiny)
+    problems, test = switch_problems(planner, jax.random.key(0), counts)
     studies = {
-        name: study(PRESETS[name].switch, problems, test) for name in ("paper", "default")
+        name: study(settings(name, tiny), problems, test, seeds) for name in ("paper", "default")
     }
     count = len(test.available)
     write([row for name, found in studies.items() for row in rows(name, found, count)], json)

@@ -157,6 +157,19 @@ class SwitchWorld:
                     {"infeasible": collides})  # fmt: skip
 
 
+def episode_return(
+    data: Combined, choice: Float[Array, "STEPS"], config: SwitchConfig
+) -> Float[Array, ""]:
+    """Total reward of some choices `[STEPS]`; where the joint agent has no motion, of the skill."""
+    choice = jnp.where(data.available > 0, choice, 0).astype(jnp.int32)
+    at = jnp.arange(STEPS)
+    q = data.q[choice, at]
+    before = jnp.concatenate([data.q[0, :1], q[:-1]])
+    changes = choice != jnp.concatenate([jnp.zeros(1, jnp.int32), choice[:-1]])
+    points = point_reward(data, config)[choice, at]
+    return jnp.sum(points + step_reward(before, q, config) - config.switch * changes)
+
+
 def optimal_switching(data: Combined, config: SwitchConfig) -> tuple[np.ndarray, float]:
     """Best choices `[STEPS]` and their total reward, by dynamic programming (Viterbi)."""
     choice, value = _viterbi(data, config)

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: MIT
+"""Figures in documents are those of the committed results, and benchmarks run to their end."""
+
+import importlib.util
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+figures = pytest.importorskip("benchmarks.figures")
+RESULTS = sorted((ROOT / "docs" / "figures").glob("*.json"))
+
+
+@pytest.mark.parametrize("page", figures.pages(), ids=lambda page: page.name)
+def test_documents_are_rendered_from_the_results(page):
+    """`make figures` would change nothing."""
+    text = page.read_text()
+    assert figures.rendered(text, figures.read_results()) == text
+
+
+@pytest.mark.parametrize("path", RESULTS, ids=lambda path: path.stem)
+def test_a_result_says_where_it_is_from(path):
+    values = json.loads(path.read_text())
+    module = re.match(r"python -m (benchmarks\.\w+|hybrid_jax\.\w+)", values["command"])[1]
+    assert importlib.util.find_spec(module), f"{module} is gone: {path.name} cannot be made anew"
+    assert values["commit"] not in ("", "unknown") and not values["commit"].endswith("-dirty")
+    assert {"python", "jax", "mujoco"} <= set(values["versions"]) and values["machine"]
+    for row in values["metrics"]:
+        assert {"key", "value", "unit", "better", "device", "note"} == set(row)
+
+
+def test_templates_are_filled_and_unknown_figures_refused():
+    results = {"a": {"commit": "1234567", "metrics": [
+        {"key": "a.share", "value": 0.98765, "note": "of 10"}]}}  # fmt: skip
+    text = "x\n<!-- figures\n| {a.share:.2f} | {a.share!n} | {a@commit} |\n-->\nold\n<!-- end -->\n"
+    assert "-->\n| 0.99 | of 10 | 1234567 |\n<!-- end -->" in figures.rendered(text, results)
+    with pytest.raises(KeyError):
+        figures.rendered(text.replace("a.share", "a.other"), results)
+    twice = results | {"b": results["a"]}
+    with pytest.raises(KeyError, match="another file"):
+        figures.rendered(text, twice)
+
+
+def test_collected_problems_are_taken_from_their_file(cell, tmp_path, monkeypatch):
+    """A file that is there is read, and nothing is collected."""
+    from benchmarks import drl_problems
+    from hybrid_jax import artifacts
+    from hybrid_jax.agents.segments import Segments
+
+    scenes = jax.tree.map(lambda a: np.stack([a, a]), cell.scene)
+    ends = np.tile(np.asarray(cell.home), (2, 1))
+    one = Segments(scenes, ends, ends + np.float32(0.1))
+    path = tmp_path / "problems.npz"
+    artifacts.save(path, "problems", cell.source.digest, drl_problems.Problems(one, one, one))
+    monkeypatch.setattr(drl_problems, "draw", None)
+    found = drl_problems.problems(cell, path)
+    np.testing.assert_array_equal(found.held_out.goal, ends + np.float32(0.1))
+
+
+TINY = [
+    path.stem
+    for path in sorted((ROOT / "benchmarks").glob("*.py"))
+    if "tiny: bool = False" in path.read_text()
+]
+
+
+@pytest.mark.tiny
+@pytest.mark.parametrize("name", TINY)
+def test_each_benchmark_runs_to_its_end(name, tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", f"benchmarks.{name}", "--tiny", "--json", str(tmp_path / "a.json")],
+        cwd=ROOT, capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-3000:]
+    assert json.loads((tmp_path / "a.json").read_text())["metrics"]
