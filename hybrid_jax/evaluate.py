@@ -52,12 +52,12 @@ def main(
 
     opened, papers = open_run(run), open_run(paper) if paper else None
     study = study_of(opened.cell)
-    seed = study.SEEDS.start if seed is None else seed
+    first = study.SEEDS.start if seed is None else seed
     found = [contestant(name, opened, papers) for name in methods or study.METHODS]
     contestants = [one for one in found if one]
     if video:
-        return film_runs(study, opened, contestants[:2], seed, video)
-    metrics = run_study(study, opened, contestants, range(seed, seed + runs), out, quiet)
+        return film_runs(study, opened, contestants[:2], first, video)
+    metrics = run_study(study, opened, contestants, range(first, first + runs), out, quiet)
     answer(as_table(metrics), metrics, json)
     return 0
 

@@ -8,20 +8,14 @@ import math
 import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import get_args, get_origin, get_type_hints
+from typing import Annotated
 
-from hybrid_jax.errors import UnknownNameError, WorkcellError, shortened
+from hybrid_jax.errors import UnknownNameError, WorkcellError
 from hybrid_jax.inputfiles import read_text
+from hybrid_jax.workcell.records import Within, record, records
 
-LARGEST = 1e300
-"""A number beyond which nothing can be computed."""
 LENGTH = 10.0
 """No length in the task data of a work cell is larger [m]."""
-
-
-def between(low: float, high: float):
-    """A field whose numbers, all of them where there are several, lie within a range."""
-    return field(metadata={"range": (low, high)})
 
 
 @dataclass(frozen=True)
@@ -32,9 +26,9 @@ class GripperSpec:
     """Slide joints; their common value is the opening of one finger [m]."""
     actuator: str
     """Position actuator of the opening."""
-    open: float = between(1e-6, LENGTH)
+    open: Annotated[float, Within(1e-6, LENGTH)]
     """Opening of each finger when open [m]."""
-    squeeze: float = between(-LENGTH, LENGTH)
+    squeeze: Annotated[float, Within(-LENGTH, LENGTH)]
     """Actuator command that closes on any object [m]."""
 
 
@@ -58,9 +52,9 @@ class TraySpec:
 
     name: str
     """Body of the tray."""
-    half_size: tuple[float, float] = between(1e-6, LENGTH)
+    half_size: Annotated[tuple[float, float], Within(1e-6, LENGTH)]
     """Half of its inner length and width, along the body's x and y [m]."""
-    floor: float = between(-LENGTH, LENGTH)
+    floor: Annotated[float, Within(-LENGTH, LENGTH)]
     """Height of its inner floor above the body's origin [m]."""
 
 
@@ -74,15 +68,15 @@ class ObjectSpec:
     """What it is: skills are demonstrated by kind."""
     tray: str
     """Tray that it belongs in."""
-    grasp: tuple[float, float, float] = between(-LENGTH, LENGTH)
+    grasp: Annotated[tuple[float, float, float], Within(-LENGTH, LENGTH)]
     """Tool centre in the object's frame [m]; the tool points down, the fingers open along x."""
-    grip: float = between(0.0, LENGTH)
+    grip: Annotated[float, Within(0.0, LENGTH)]
     """Half width of the object between the fingers [m]."""
-    spawn: tuple[float, float, float] = between(-LENGTH, LENGTH)
+    spawn: Annotated[tuple[float, float, float], Within(-LENGTH, LENGTH)]
     """Middle of the region where it appears: x, y [m], yaw [rad]."""
-    jitter: tuple[float, float, float] = between(0.0, LENGTH)
+    jitter: Annotated[tuple[float, float, float], Within(0.0, LENGTH)]
     """Half widths of that region [m, m, rad]."""
-    slot: tuple[float, float, float] = between(-LENGTH, LENGTH)
+    slot: Annotated[tuple[float, float, float], Within(-LENGTH, LENGTH)]
     """Where it is put in the tray's frame: x, y [m], yaw [rad]."""
     regrasp: tuple[tuple[float, float, float], ...] = ()
     """Further grasps, like `grasp`: tried in turn where the first fails."""
@@ -101,11 +95,11 @@ class Handling:
     gripper: GripperSpec
     table: str
     """Body whose surface the objects lie on."""
-    lift: float = between(0.0, LENGTH)
+    lift: Annotated[float, Within(0.0, LENGTH)]
     """Height by which an object is lifted before it is carried [m]."""
-    hover: float = between(0.0, LENGTH)
+    hover: Annotated[float, Within(0.0, LENGTH)]
     """Height above the place pose at which it arrives [m]."""
-    release: float = between(0.0, LENGTH)
+    release: Annotated[float, Within(0.0, LENGTH)]
     """Height above the tray's floor at which it is let go [m]."""
     trays: tuple[TraySpec, ...]
     objects: tuple[ObjectSpec, ...]
@@ -130,11 +124,11 @@ class FaceSpec:
     """A face that is brushed: a strip along a part's x axis that twists evenly about it."""
 
     name: str
-    length: float = between(1e-6, LENGTH)
+    length: Annotated[float, Within(1e-6, LENGTH)]
     """Of the stroke; its middle is the part's origin [m]."""
-    height: float = between(-LENGTH, LENGTH)
+    height: Annotated[float, Within(-LENGTH, LENGTH)]
     """Of the strip's middle line above the part's origin [m]."""
-    twist: tuple[float, float] = between(-math.pi, math.pi)
+    twist: Annotated[tuple[float, float], Within(-math.pi, math.pi)]
     """Angle of the face about x where the stroke begins and where it ends [rad]."""
 
 
@@ -146,9 +140,9 @@ class PartSpec:
     """Free body."""
     face: str
     """Name of its face."""
-    spawn: tuple[float, float, float] = between(-LENGTH, LENGTH)
+    spawn: Annotated[tuple[float, float, float], Within(-LENGTH, LENGTH)]
     """Middle of the region where it lies: x, y [m], yaw [rad]."""
-    jitter: tuple[float, float, float] = between(0.0, LENGTH)
+    jitter: Annotated[tuple[float, float, float], Within(0.0, LENGTH)]
     """Half widths of that region [m, m, rad]."""
 
 
@@ -160,13 +154,13 @@ class Inspection:
     """Tips of the brush; it points along z, and is moved along x."""
     tray: str
     """Body that the parts lie in."""
-    hover: float = between(0.0, LENGTH)
+    hover: Annotated[float, Within(0.0, LENGTH)]
     """Height above the tray's origin at which the arm comes to rest before it brushes [m]."""
-    brush_speed: float = between(1e-4, LENGTH)
+    brush_speed: Annotated[float, Within(1e-4, LENGTH)]
     """Most that the brush may move on a part [m/s]."""
-    guides: int = between(0, 100)
+    guides: Annotated[int, Within(0, 100)]
     """Key poses between the ends of a stroke, which the brush passes."""
-    start_jitter: float = between(0.0, math.pi)
+    start_jitter: Annotated[float, Within(0.0, math.pi)]
     """Random tasks begin within so much of home in every joint [rad]."""
     faces: tuple[FaceSpec, ...]
     parts: tuple[PartSpec, ...]
@@ -207,80 +201,17 @@ def _by_name(what: str, name: str, specs):
     raise UnknownNameError(what, name, [spec.name for spec in specs])
 
 
-def _fixed(value):
-    return tuple(map(_fixed, value)) if isinstance(value, list) else value
-
-
-def _record(kind, values: dict, where: str):
-    """Build a spec from a TOML table, turning lists into tuples."""
-    if not isinstance(values, dict):
-        raise WorkcellError(f"{where} must be a table, got {values!r}")
-    fixed = {k: _fixed(v) for k, v in values.items()}
-    try:
-        found = kind(**fixed)
-    except TypeError as error:
-        fields = ", ".join(kind.__dataclass_fields__)
-        raise WorkcellError(f"{where}: {error}; the fields are: {fields}") from None
-    for name, wanted in get_type_hints(kind).items():
-        value, limits = getattr(found, name), kind.__dataclass_fields__[name].metadata.get("range")
-        said = f"{where}: {name} is {shortened(repr(value))}; it must be {_in_words(wanted)}"
-        if not _fits(value, wanted):
-            raise WorkcellError(said)
-        if limits and not all(limits[0] <= number <= limits[1] for number in _numbers(value)):
-            raise WorkcellError(f"{said} from {limits[0]:g} to {limits[1]:g}")
-    return found
-
-
-def _numbers(value) -> list[float]:
-    """All numbers in a value or in the lists of a value."""
-    return [n for v in value for n in _numbers(v)] if isinstance(value, tuple) else [value]
-
-
-def _fits(value, wanted) -> bool:
-    """Is a value of a TOML file what a field is annotated with?"""
-    inner = get_args(wanted)
-    if get_origin(wanted) is tuple:
-        if not isinstance(value, tuple):
-            return False
-        if inner[-1] is Ellipsis:
-            return all(_fits(v, inner[0]) for v in value)
-        return len(value) == len(inner) and all(map(_fits, value, inner))
-    if inner:  # a union
-        return any(_fits(value, one) for one in inner)
-    if wanted is float:
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        # an integer may be too large for any float
-        return number and abs(value) <= LARGEST and math.isfinite(value)
-    return isinstance(value, wanted) and not (wanted is int and isinstance(value, bool))
-
-
-def _in_words(wanted) -> str:
-    words = {float: "a finite number", str: "text", int: "a whole number"}
-    if get_origin(wanted) is not tuple:
-        return words.get(wanted, str(wanted))
-    inner = get_args(wanted)
-    if inner[-1] is Ellipsis:
-        return f"a list, each item {_in_words(inner[0])}"
-    return f"a list of {len(inner)}, each item {_in_words(inner[0])}"
-
-
-def _records(kind, tables: list[dict], where: str) -> tuple:
-    if not isinstance(tables, list):
-        raise WorkcellError(f"{where} must be a list of tables, got {tables!r}")
-    return tuple(_record(kind, table, where) for table in tables)
-
-
 def _handling(data: dict, name: str) -> Handling:
-    gripper = _record(GripperSpec, data.pop("gripper", {}), f"{name} [gripper]")
-    trays = _records(TraySpec, data.pop("trays", []), f"{name} [[trays]]")
-    objects = _records(ObjectSpec, data.pop("objects", []), f"{name} [[objects]]")
-    return _record(Handling, data | {"gripper": gripper, "trays": trays, "objects": objects}, name)
+    gripper = record(GripperSpec, data.pop("gripper", {}), f"{name} [gripper]")
+    trays = records(TraySpec, data.pop("trays", []), f"{name} [[trays]]")
+    objects = records(ObjectSpec, data.pop("objects", []), f"{name} [[objects]]")
+    return record(Handling, data | {"gripper": gripper, "trays": trays, "objects": objects}, name)
 
 
 def _inspection(data: dict, name: str) -> Inspection:
-    faces = _records(FaceSpec, data.pop("faces", []), f"{name} [[faces]]")
-    parts = _records(PartSpec, data.pop("parts", []), f"{name} [[parts]]")
-    found = _record(Inspection, data | {"faces": faces, "parts": parts}, name)
+    faces = records(FaceSpec, data.pop("faces", []), f"{name} [[faces]]")
+    parts = records(PartSpec, data.pop("parts", []), f"{name} [[parts]]")
+    found = record(Inspection, data | {"faces": faces, "parts": parts}, name)
     for part in parts:
         found.face(part.face)
     return found
@@ -307,5 +238,5 @@ def read_task_data(path: Path) -> TaskData | None:
         raise UnknownNameError(f"kind of task in {path.name}", kind, _READERS)
     if "controller" in data:
         table, where = data["controller"], f"{path.name} [controller]"
-        data["controller"] = _record(ControllerSpec, table, where)
+        data["controller"] = record(ControllerSpec, table, where)
     return _READERS[kind](data, path.name)
