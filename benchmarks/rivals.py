@@ -19,6 +19,14 @@ from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.assets import find_workcell
 from hybrid_jax.workcell.layout import home_qpos
 
+_STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+_IDLE = int(
+    mujoco.mjtDisableBit.mjDSBL_LIMIT | mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS
+    | mujoco.mjtDisableBit.mjDSBL_GRAVITY | mujoco.mjtDisableBit.mjDSBL_ACTUATION
+    | mujoco.mjtDisableBit.mjDSBL_SENSOR | mujoco.mjtDisableBit.mjDSBL_WARMSTART
+)  # fmt: skip
+"""Parts of a step that have nothing to do with collisions."""
+
 
 def welded_model(name: str) -> mujoco.MjModel:
     """The cell with its objects welded: the engine then skips their contacts with the world."""
@@ -90,6 +98,28 @@ def mujoco_all_cores(cell: Workcell, q: np.ndarray) -> float:
     jobs = [(cell.source.name, part) for part in np.array_split(q, cores)]
     with multiprocessing.get_context("spawn").Pool(cores) as pool:
         return len(q) / max(pool.map(_sweep_part, jobs, chunksize=1))
+
+
+def mujoco_rollout(cell: Workcell, q: np.ndarray):
+    """A function that lets C MuJoCo's own threads look at configurations: no Python in between.
+
+    `mujoco.rollout` makes a whole step of each, of which kinematics and collisions are a part; what
+    else can be switched off is.
+    """
+    from mujoco import rollout
+
+    engine, cores = Engine(cell), usable_cores()
+    model, states = engine.model, []
+    model.opt.iterations = model.opt.ls_iterations = 1
+    model.opt.disableflags |= _IDLE
+    for row in q:
+        engine.data.qpos[engine.address] = row
+        state = np.empty(mujoco.mj_stateSize(model, _STATE))
+        mujoco.mj_getState(model, engine.data, state, _STATE)
+        states.append(state)
+    pool = rollout.Rollout(nthread=cores if cores > 1 else 0)
+    data, rows = [mujoco.MjData(model) for _ in range(cores)], np.stack(states)
+    return lambda: pool.rollout(model, data, rows, nstep=1)
 
 
 class Bullet:

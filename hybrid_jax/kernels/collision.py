@@ -205,8 +205,9 @@ def clearance(cell: Workcell, q: Float[Array, "n"]) -> Float[Array, ""]:
         q: `[joint]` configuration [rad].
 
     Returns:
-        `[]` [m]; negative where they overlap: the depth of the deepest overlap. `FAR` where nothing
-        can touch.
+        `[]` [m]; negative where they overlap: the depth of the deepest overlap of two primitives.
+        A cylinder or mesh is several boxes: where it overlaps, the sign is right, and its depth is
+        that of the deepest box, which is at most its own. `FAR` where nothing can touch.
 
     Raises:
         InputError: `q` is no configuration of the arm.
