@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: MIT
 """A viser server that serves its own page only: pages of other origins cannot reach it."""
 
+import asyncio
 import contextlib
 import http
 import io
 import ipaddress
-import socket
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from urllib.parse import urlsplit
 
 import viser
@@ -62,6 +63,13 @@ def _guarded(local: bool) -> Iterator[None]:
         websockets.asyncio.server.serve = serve
 
 
+async def _listen_once(host: str) -> None:
+    """Listen at an address on any port, and stop: an OSError says that it is not this machine's."""
+    server = await asyncio.start_server(lambda reader, writer: None, host, 0)
+    server.close()
+    await server.wait_closed()
+
+
 def open_server(host: str, port: int, label: str) -> viser.ViserServer:
     """Open a page's server.
 
@@ -76,9 +84,8 @@ def open_server(host: str, port: int, label: str) -> viser.ViserServer:
     if not 0 < port < 65536:
         raise InputError(f"the port must be a number from 1 to 65535, got {port}")
     try:
-        family = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0][0]
-        with socket.socket(family, socket.SOCK_STREAM) as trial:
-            trial.bind((host, 0))
+        with ThreadPoolExecutor(1) as pool:  # a notebook's own loop runs in this thread
+            pool.submit(asyncio.run, _listen_once(host)).result()
     except OSError as error:
         raise InputError(
             f"this machine cannot listen at {host!r} ({error.strerror or error}): name one of its "

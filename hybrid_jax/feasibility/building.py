@@ -45,7 +45,8 @@ class FeasibilityMap:
     reason: Array
     """`Reason` of each pose, uint8."""
     configuration: Array
-    """`[..., joint]` best configuration, a seed for IK; zeros where there is none."""
+    """`[..., joint]` a configuration, feasible where the pose is, else the nearest to it that was
+    found: a seed for IK; zeros where there is none."""
     manipulability: Array
     """Of that configuration."""
     clearance: Array
@@ -204,7 +205,7 @@ def build_feasibility_map(
         devices: JAX devices to share the work; all local ones by default.
 
     Returns:
-        Feasibility, reason and best configuration of each pose `[x, y, z, orientation]`.
+        Feasibility, reason and a configuration of each pose `[x, y, z, orientation]`.
 
     Raises:
         MapError: the map would not fit into memory; the message says how large it would be.

@@ -27,7 +27,7 @@ def query(fmap: FeasibilityMap, pose: Float[Array, "8"]) -> tuple[Array, Array]:
         pose: `[8]` tool pose in the world, unit dual quaternion.
 
     Returns:
-        `[]` feasibility from 0 to 1, and `[joint]` the best configuration of the nearest grid pose
+        `[]` feasibility from 0 to 1, and `[joint]` the configuration of the nearest grid pose
         [rad], zeros where it has none.
 
     Raises:

@@ -117,7 +117,7 @@ class PaperReachWorld:
         position, quat = state.frames[:, :3], state.frames[:, 3:]
         linear = (position - state.before[:, :3]) / self.config.period
         turn = dq.quat_mul(quat, dq.quat_conj(state.before[:, 3:]))
-        angular = 2 * jnp.sign(turn[:, :1]) * turn[:, 1:] / self.config.period
+        angular = dq.quat_log(turn) / self.config.period
         tool = tool_pose(self.cell, state.q)
         aim = self.goal_pose[state.segment] if self.config.target == "target" else tool
         rays = sense(self._inside(state.segment), tool)

@@ -23,7 +23,17 @@ def _fixed(value):
 
 
 def record(kind, values: dict, where: str):
-    """Build a spec from a TOML table, turning lists into tuples."""
+    """A frozen record of a TOML table; lists become tuples.
+
+    Args:
+        kind: frozen dataclass; `Annotated[..., Within(low, high)]` fields keep a range.
+        values: the table.
+        where: what messages call it.
+
+    Raises:
+        WorkcellError: it is no table, or a field is missing, unknown, of another type or out of
+            its range.
+    """
     if not isinstance(values, dict):
         raise WorkcellError(f"{where} must be a table, got {values!r}")
     fixed = {k: _fixed(v) for k, v in values.items()}
@@ -78,6 +88,16 @@ def _in_words(wanted) -> str:
 
 
 def records(kind, tables: list[dict], where: str) -> tuple:
+    """One record of each table of a list.
+
+    Args:
+        kind: frozen dataclass.
+        tables: as TOML gives them.
+        where: what messages call the list.
+
+    Raises:
+        WorkcellError: it is no list, or a table is no such record.
+    """
     if not isinstance(tables, list):
         raise WorkcellError(f"{where} must be a list of tables, got {tables!r}")
     return tuple(record(kind, table, where) for table in tables)
