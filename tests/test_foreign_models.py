@@ -8,6 +8,7 @@ import pytest
 from hybrid_jax import check
 from hybrid_jax.errors import UnknownNameError, WorkcellError
 from hybrid_jax.kernels.collision import clearance
+from hybrid_jax.kernels.kinematics import tool_pose
 from hybrid_jax.planner.checking import Engine
 from hybrid_jax.planner.scenes import home_scene
 from hybrid_jax.runfolder import create_run, open_run
@@ -89,6 +90,16 @@ def test_where_the_tool_cannot_be_told_the_candidates_are_listed(tmp_path, more,
     # and the check goes on to what else there is to say
     levels = {finding.level for finding in diagnose(tmp_path / "arm.urdf")}
     assert levels == {WRONG, DOUBTFUL}
+
+
+def test_a_link_that_is_named_goes_before_a_site_with_the_usual_name(tmp_path):
+    text = CELL.format(more="").replace(
+        "</body>", '<body name="tip" pos=".5 0 0"><geom size=".01" mass=".1"/></body></body>'
+    )
+    assert tool_body(load(tmp_path, text, "cell.xml")) == "link"
+    cell = load(tmp_path, text, "cell.xml", tool="tip")
+    assert tool_body(cell) == "tip"
+    np.testing.assert_allclose(tool_pose(cell, np.zeros(1, np.float32))[:4], [1, 0, 0, 0])
 
 
 def test_a_run_keeps_the_tool_that_was_named(tmp_path):

@@ -7,7 +7,6 @@ import mujoco
 import numpy as np
 
 from hybrid_jax.errors import UnknownNameError, WorkcellError
-from hybrid_jax.workcell import toolframe
 from hybrid_jax.workcell.description import TaskData
 from hybrid_jax.workcell.toolframe import usual_site
 
@@ -69,9 +68,6 @@ def _find_tool(model: mujoco.MjModel, task: TaskData | None, tool: str) -> int:
     wanted = tool or (task.tool_site if task else "") or usual_site(names)
     if wanted in names:
         return names.index(wanted)
-    # a link that was named has become a site of this name
-    if tool and toolframe.TOOL in names:
-        return names.index(toolframe.TOOL)
     raise UnknownNameError("tool site", wanted, names)
 
 

@@ -11,7 +11,7 @@ import mujoco
 from hybrid_jax.errors import UnknownNameError, WorkcellError
 
 TOOL = "tool"
-"""Name of the site that is added where a body is the tool."""
+"""Name of the site that is added where a link is found to be the tool."""
 USUAL = ("tool", "tcp", "tool0", "grasp_site", "pinch", "attachment_site")
 """Names of tool frames, the first of them that there is."""
 _LIKE = re.compile(
@@ -75,7 +75,7 @@ def set_tool(spec: mujoco.MjSpec, name: str) -> None:
     if name and name not in bodies:
         raise UnknownNameError("site or link for the tool", name, [*sites, *bodies])
     link = name or _pick(list(bodies), "links") or _arm_end(spec)
-    bodies[link].add_site(name=TOOL)
+    bodies[link].add_site(name=name or TOOL)  # one that was named keeps its name: TOOL may be taken
 
 
 def _coupled(spec: mujoco.MjSpec) -> set[str]:
