@@ -93,6 +93,7 @@ class _Path:
             between = max(BETWEEN, (LEAST_GRID - 1) // steps)
             places = np.arange(between * steps + 1) / between
             self.grid = np.interp(places, np.arange(len(q)), self.knots)
+            self.slope, self.bend = self.spline(self.grid, 1), self.spline(self.grid, 2)
             self.caps = np.full(len(self.grid), np.inf)
             """`[grid]` largest speed along the path."""
             self.slower = np.ones(len(self.grid))
@@ -100,7 +101,7 @@ class _Path:
 
     def filled(self, values: np.ndarray, size: int) -> np.ndarray:
         """Values on the grid; the last one is repeated."""
-        return np.pad(values, (0, size - len(values)), mode="edge")
+        return np.concatenate([values, values[-1:].repeat(size - len(values), axis=0)])
 
     def cap_tool_speed(self, cell: Workcell, size: int) -> None:
         """Let the tool keep its limit everywhere on the grid."""
@@ -117,7 +118,7 @@ class _Path:
         grid, slower = self.filled(self.grid, size), self.filled(self.slower, size)
         caps = np.minimum(self.filled(self.caps, size) / slower, _NO_CAP)
         speed, rate = self.limits.speed / slower[:, None], self.limits.rate / slower[:, None] ** 2
-        slope, bend = self.spline(grid, 1), self.spline(grid, 2)
+        slope, bend = self.filled(self.slope, size), self.filled(self.bend, size)
         found = slope, bend, np.diff(grid, append=grid[-1]), speed, rate, caps
         return tuple(a.astype(np.float32) for a in found)
 
@@ -130,26 +131,25 @@ class _Path:
 
     def derivatives(self, place, speed, acceleration) -> tuple[np.ndarray, np.ndarray]:
         """Velocities and accelerations `[sample, joint]` of a motion that passes places so fast."""
-        slope, bend = self.spline(place, 1), self.spline(place, 2)
-        return slope * speed[:, None], bend * speed[:, None] ** 2 + slope * acceleration[:, None]
+        return _derivatives(self.spline(place, 1), self.spline(place, 2), speed, acceleration)
 
-    def _too_fast(self, place, speed, acceleration) -> np.ndarray:
-        velocities, accelerations = self.derivatives(place, speed, acceleration)
-        return np.max([
-            np.max(np.abs(velocities) / self.limits.speed, axis=1),
-            np.sqrt(np.max(np.abs(accelerations) / self.limits.rate, axis=1)),
-            speed / np.interp(place, self.grid, self.caps),
-        ], axis=0)  # fmt: skip
+    def _too_fast(self, velocities, accelerations, speed, caps) -> np.ndarray:
+        faster = np.max(np.abs(velocities) / self.limits.speed, axis=1)
+        harder = np.sqrt(np.max(np.abs(accelerations) / self.limits.rate, axis=1))
+        return np.max([faster, harder, speed / caps], axis=0)
 
     def excess(self, profile: SpeedProfile) -> np.ndarray:
         """`[sample]` by how much a motion is too fast there or just before, as a factor on its
         speed."""
-        found = self._too_fast(profile.place, profile.speed, profile.acceleration)
+        caps = np.interp(profile.place, self.grid, self.caps)
+        found = self._too_fast(*self.derivatives(*profile.states), profile.speed, caps)
         # a path may bend sharply between two samples
-        between = (np.interp(self.grid, profile.place, c)
-                   for c in (profile.speed, profile.acceleration))  # fmt: skip
+        speed, acceleration = (
+            np.interp(self.grid, profile.place, c) for c in (profile.speed, profile.acceleration)
+        )
+        between = _derivatives(self.slope, self.bend, speed, acceleration)
         after = np.searchsorted(profile.place, self.grid).clip(0, len(found) - 1)
-        np.maximum.at(found, after, self._too_fast(self.grid, *between))
+        np.maximum.at(found, after, self._too_fast(*between, speed, self.caps))
         return found
 
     def slow_down(self, profile: SpeedProfile, width: float) -> bool:
@@ -182,6 +182,11 @@ class _Path:
         at = np.interp(profile.place, self.knots, np.arange(len(self.knots)))
         marks = self.sources[np.round(at).astype(int)]
         return Trajectory(profile.times, positions, velocities, accelerations, marks)
+
+
+def _derivatives(slope, bend, speed, acceleration) -> tuple[np.ndarray, np.ndarray]:
+    """Velocities and accelerations where a path has a slope and a bend `[sample, joint]`."""
+    return slope * speed[:, None], bend * speed[:, None] ** 2 + slope * acceleration[:, None]
 
 
 def is_resting(q: np.ndarray) -> bool:
@@ -280,7 +285,8 @@ def _profiles(
     for path in going.values():
         path.slower[:] = 1.0
     for _ in range(ROUNDS):
-        block = [np.stack(a) for a in zip(*(path.rows(size) for path in paths), strict=True)]
+        rows = {id(path): path.rows(size) for path in paths}
+        block = [np.stack(a) for a in zip(*(rows[id(path)] for path in paths), strict=True)]
         squared = dict(zip(map(id, paths), np.asarray(_speeds(*block)), strict=True))
         for name, path in list(going.items()):
             profile = path.profile(squared[name], width, period)
