@@ -21,7 +21,7 @@ from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.description import ControllerSpec
 from hybrid_jax.workcell.layout import home_qpos
 
-TOLERANCE = 7e-5
+TOLERANCE = 5e-5
 """Deviation of the tool that moves evenly from the trajectory, at each time [m]."""
 JOINT_TOLERANCE = 1e-3
 """The same of each joint [rad or m]."""

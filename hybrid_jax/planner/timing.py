@@ -24,7 +24,7 @@ TOGETHER = 4
 """Paths that are timed in one call."""
 FINEST = 0.01
 """Motions are made of points at most so far apart, and thinned out then [s]."""
-EVEN = 1e-4
+EVEN = 8e-5
 """Most by which even motion of the joints between two points leaves a motion, at the tool [m]."""
 WHOLE = 1e-3
 """Motions last whole multiples of this [s]: programs of moves in milliseconds keep their times."""
