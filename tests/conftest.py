@@ -34,11 +34,16 @@ SHARED = Path(__file__).resolve().parents[2] / "shared"
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
-    """A module's tests share a worker, and so do all that read the smoke run: it is made once."""
+    """A module's tests share a worker, and so do all that read the smoke run: it is made once.
+
+    Benchmarks run in processes of their own: each goes to whoever is free.
+    """
     from xdist.scheduler import LoadScopeScheduling
 
     class ByModule(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
+            if "each_benchmark" in nodeid:
+                return nodeid
             module = nodeid.split("::")[0]
             reads_run = "smoke_run" in (config.rootpath / module).read_text()
             return "smoke run" if reads_run else module
