@@ -174,7 +174,7 @@ class _Path:
         bends = np.abs(self.derivatives(*profile.states)[1]) @ self.limits.reach
         sample_time = min(sample_time, np.sqrt(8 * EVEN / max(bends.max(), 1e-9)))
         count = max(int(np.ceil(profile.times[-1] / sample_time - 1e-6)) + 1, len(self.knots))
-        profile = profile.resampled(count)
+        profile = self.kept(profile.resampled(count))  # at its own points too
         velocities, accelerations = self.derivatives(*profile.states)
         velocities[[0, -1]] = accelerations[[0, -1]] = 0.0
         positions = self.spline(profile.place)
