@@ -1,26 +1,15 @@
 # SPDX-License-Identifier: MIT
 """One form for all figures: key, value, unit, direction, device, note."""
 
-import json
-import os
-import platform
-import re
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Mapping
-from importlib.metadata import version
 from pathlib import Path
 
 import jax
 import numpy as np
 from scipy import stats
 
-from hybrid_jax.devices import usable_cores
-
-ROOT = Path(__file__).resolve().parent.parent
-PACKAGES = "jax", "mujoco", "mujoco-mjx", "numpy", "scipy"
-"""Whose versions are noted."""
+from hybrid_jax.provenance import write_figures
 
 
 def metric(key: str, value: float, unit: str, better: str, note: str = "") -> dict:
@@ -79,47 +68,4 @@ def write(metrics: list[dict], path: Path | None, seeds: Mapping[str, range] | N
         better = f"({m['better']} is better)" if m["better"] else ""
         print(f"{m['key']:34s} {m['value']:>12.4g} {m['unit']:4s} {better:20s} {m['note']}")
     if path:
-        drawn = {name: [some.start, some.stop] for name, some in (seeds or {}).items()}
-        values = provenance() | {"seeds": drawn, "metrics": metrics}
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(values, indent=1) + "\n")
-
-
-def provenance() -> dict:
-    """What a figure was made by and on: command, commit, machine, versions."""
-    spec = sys.modules["__main__"].__spec__
-    name = f"python -m {spec.name}" if spec else Path(sys.argv[0]).name
-    return {
-        "command": " ".join([name, *map(_shown, sys.argv[1:])]),
-        "commit": _commit(),
-        "machine": f"{_processor()}, {usable_cores()} cores, {_memory()} GiB",
-        "versions": {"python": platform.python_version(), **{
-            package: version(package) for package in PACKAGES
-        }},
-    }  # fmt: skip
-
-
-def _shown(argument: str) -> str:
-    """An argument as it may stand in a document: no path of a machine."""
-    return Path(argument).name if argument.startswith("/") else argument
-
-
-def _commit() -> str:
-    """Of the checkout; marked where its files differ."""
-    command = ["git", "describe", "--always", "--dirty", "--exclude", "*"]
-    try:
-        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
-    except (OSError, subprocess.CalledProcessError):
-        return "unknown"
-    return done.stdout.strip()
-
-
-def _processor() -> str:
-    about = Path("/proc/cpuinfo")
-    text = about.read_text() if about.is_file() else ""
-    found = re.search(r"^model name\s*:\s*(.+)$", text, re.MULTILINE)
-    return found[1].strip() if found else platform.processor() or platform.machine()
-
-
-def _memory() -> int:
-    return round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30)
+        write_figures(path, metrics, seeds or {})

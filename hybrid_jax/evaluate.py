@@ -17,6 +17,7 @@ def main(
     methods: tuple[str, ...] = (),
     seed: int | None = None,
     paper: Path | None = None,
+    figures: Path | None = None,
     video: Path | None = None,
     quiet: bool = False,
     json: bool = False,
@@ -37,6 +38,7 @@ def main(
             (`hybrid_jax.seeds`).
         paper: folder of a run of preset paper, for method paper; trained into the run's folder
             if not given.
+        figures: JSON file for the metrics alone, with command, commit, machine and versions.
         video: MP4 or GIF to write instead: the scene of --seed, the first two methods side by side.
         quiet: print the metrics only.
         json: print the metrics as JSON.
@@ -58,6 +60,10 @@ def main(
     if video:
         return film_runs(study, opened, contestants[:2], first, video)
     metrics = run_study(study, opened, contestants, range(first, first + runs), out, quiet)
+    if figures:
+        from hybrid_jax.provenance import write_figures  # noqa: PLC0415
+
+        write_figures(figures, metrics, {"scenes": range(first, first + runs)})
     answer(as_table(metrics), metrics, json)
     return 0
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """The commands as a user calls them: errors are sentences, runs can be resumed and opened."""
 
+import itertools
 import json
 import shutil
 import subprocess
@@ -10,6 +11,9 @@ import pytest
 
 from hybrid_jax import evaluate, plan, runfolder, train
 from hybrid_jax.errors import RunFolderError, UnknownNameError
+from hybrid_jax.seeds import HANDLING_STUDY
+from hybrid_jax.skills.scenes import sample_scene
+from hybrid_jax.workcell.load import load_workcell
 
 
 @pytest.fixture(scope="module")
@@ -49,16 +53,34 @@ def test_resume_does_only_what_is_missing(run_folder, capsys):
     assert (run_folder / "drl.npz").stat().st_mtime_ns == before
 
 
-def test_plan_writes_a_status_and_says_so_by_its_exit_code(run_folder, tmp_path):
+def test_plan_writes_a_trajectory_and_ends_with_0(run_folder, tmp_path):
     (tmp_path / "task.json").write_text('{"object": "block_1", "scene_seed": 3}')
-    code = plan.main(run_folder, tmp_path / "task.json", tmp_path / "out.json")
+    assert plan.main(run_folder, tmp_path / "task.json", tmp_path / "out.json") == 0
     out = json.loads((tmp_path / "out.json").read_text())
-    assert (code == 0) == (out["status"] == "OK") and (len(out["points"]) > 0) == (code == 0)
+    assert out["status"] == "OK" and len(out["points"]) > 100
+    times = [point["time_from_start"] for point in out["points"]]
+    assert times[0] == 0 and all(a < b for a, b in itertools.pairwise(times))
+
+
+def test_plan_writes_why_there_is_none_and_ends_with_1(run_folder, tmp_path):
+    """A block that lies out of the arm's reach."""
+    cell = load_workcell("gen3_handling")
+    poses = sample_scene(cell, 3)
+    poses[cell.source.layout.object_names.index("block_1"), :2] = 2.5, 2.5
+    values = {"object": "block_1", "object_poses": poses.tolist()}
+    (tmp_path / "task.json").write_text(json.dumps(values))
+    assert plan.main(run_folder, tmp_path / "task.json", tmp_path / "out.json") == 1
+    out = json.loads((tmp_path / "out.json").read_text())
+    assert out["status"] != "OK" and out["detail"] and not out["points"]
 
 
 def test_evaluate_writes_runs_metrics_and_a_chart(run_folder, tmp_path):
-    path = tmp_path / "study.json"
-    assert evaluate.main(run_folder, path, runs=1, methods=("lfd", "drl")) == 0
+    path, figures = tmp_path / "study.json", tmp_path / "figures.json"
+    methods = ("lfd", "drl")
+    assert evaluate.main(run_folder, path, runs=1, methods=methods, figures=figures) == 0
+    backed = json.loads(figures.read_text())
+    assert backed["metrics"] == json.loads(path.read_text())["metrics"] and backed["versions"]
+    assert backed["seeds"] == {"scenes": [HANDLING_STUDY.start, HANDLING_STUDY.start + 1]}
     out = json.loads(path.read_text())
     assert [row["method"] for row in out["runs"]] == ["lfd", "drl"]
     assert {"key", "value", "unit", "better", "device", "note"} == set(out["metrics"][0])

@@ -25,7 +25,7 @@ class MapConfig:
     """Tool orientations, spread evenly over SO(3); None for the Euler box below."""
     tilts: tuple[float, ...] = (-0.6, 0.0, 0.6)
     """Euler angles about the tool's x and y axes, from pointing down [rad]."""
-    yaws: tuple[float, ...] = (-1.5, -0.75, 0.0, 0.75)
+    yaws: tuple[float, ...] = (-1.5, -0.75, 0.0, 0.75, 1.5)
     """Euler angles about the vertical [rad]."""
     ik: IkConfig = IkConfig(iterations=30)
     """Tolerances and steps of the inverse kinematics; `iterations` from a random seed."""

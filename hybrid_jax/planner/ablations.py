@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""The planner with one of its parts replaced by something that learned nothing.
+"""The planner with parts left out, or replaced by something that learned nothing.
 
-What a part is worth shows by what is lost without it. Everything else stays, RRT-Connect behind the
-joint agent too.
+What a part is worth shows by what is lost without it. Everything else stays: configurations and
+routes that are tried, smoothing, timing and the check.
 """
 
 from collections.abc import Callable
@@ -15,6 +15,7 @@ from hybrid_jax.agents import joint, networks
 from hybrid_jax.agents.joint import Bridger
 from hybrid_jax.agents.segments import Segments
 from hybrid_jax.agents.switching import Combined
+from hybrid_jax.errors import InputError
 from hybrid_jax.kernels.edges import paths_are_free
 from hybrid_jax.planner.bridging import rrt_bridger
 from hybrid_jax.planner.lfd import SkillChooser
@@ -32,12 +33,31 @@ ABLATIONS = {
     "optimal_switch": "exact switching in the switching agent's place",
     "dqn": "the hierarchical DQN in the exact task planner's place",
 }
-"""What is replaced, by name."""
+"""What is replaced, by name; RRT-Connect behind the joint agent stays."""
 
 
 def rule_switcher(combined: Combined) -> np.ndarray:
     """The joint agent wherever it has a motion (a `Switcher`)."""
     return np.asarray(combined.available).astype(int)
+
+
+def lfd_only(planner: Planner) -> Planner:
+    """Skills alone, without bridges (the paper's "LfD")."""
+    return replace(planner, bridge=None, config=replace(planner.config, fallback=None))
+
+
+def joint_agent_only(planner: Planner) -> Planner:
+    """The joint agent alone, from key pose to key pose, without skills (the paper's "DRL").
+
+    Raises:
+        InputError: the planner has no joint agent.
+    """
+    if planner.bridge is None:
+        raise InputError("the planner has no joint agent")
+    # the corners at key poses must stay
+    smoothing = replace(planner.config.smoothing, widths=(planner.config.smoothing.kept, 0.0))
+    config = replace(planner.config, direct=True, fallback=None, smoothing=smoothing)
+    return replace(planner, switch=rule_switcher, config=config)
 
 
 def straight_bridger(cell: Workcell) -> Bridger:

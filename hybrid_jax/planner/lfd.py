@@ -122,8 +122,18 @@ def _with_transit(task: Task, poses: np.ndarray) -> np.ndarray:
     """
     if not (task.transit and len(poses)):
         return poses
-    still = np.concatenate([task.key_poses[:1].repeat(POINTS - 1, 0), task.key_poses[1:2]])
-    return np.concatenate([still[None], poses])
+    return np.concatenate([_transits(task.key_poses[:2]), poses])
+
+
+def _transits(key_poses: np.ndarray) -> np.ndarray:
+    """`[segment, POINTS, 8]`: the tool stands at a key pose, and is then at the next."""
+    still = key_poses[:-1, None].repeat(POINTS - 1, axis=1)
+    return np.concatenate([still, key_poses[1:, None]], axis=1)
+
+
+def without_skills(tasks: list[Task]) -> list[list[SkillPath]]:
+    """Paths of tasks that ask for no skill: every segment is a gap for the joint agent."""
+    return [[SkillPath([], [], _transits(task.key_poses))] for task in tasks]
 
 
 def _plans(costs: SegmentCosts, choose: SkillChooser, count: int) -> list[Plan]:

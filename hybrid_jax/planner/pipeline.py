@@ -20,7 +20,7 @@ from hybrid_jax.planner.bridging import Way, bridge_gaps, rrt_bridger
 from hybrid_jax.planner.checking import Engine
 from hybrid_jax.planner.finishing import Draft, Fault, finish_phases
 from hybrid_jax.planner.harvest import gap_segment
-from hybrid_jax.planner.lfd import SkillPath, skill_paths
+from hybrid_jax.planner.lfd import SkillPath, skill_paths, without_skills
 from hybrid_jax.planner.records import Planner, PlanResult
 from hybrid_jax.planner.refusing import admit, too_close, why_infeasible
 from hybrid_jax.planner.routing import Leg, Routes, label_paths
@@ -164,13 +164,13 @@ def prepare(
         results[number] = PlanResult(Status.START_INVALID, detail)
         del admitted[number]
     # Alg. 1, l. 28: call Algorithm 2 to calculate the task-space trajectory traj_LfD
-    found = skill_paths(
-        planner.library, [task for task, _ in admitted.values()], planner.choose,
-        planner.config.skills, planner.config.plans,
+    some, config = [task for task, _ in admitted.values()], planner.config
+    found = without_skills(some) if config.direct else skill_paths(
+        planner.library, some, planner.choose, config.skills, config.plans
     )  # fmt: skip
     covered = []
     for (number, (task, note)), paths in zip(admitted.items(), found, strict=True):
-        if paths[0].plan:
+        if len(paths[0].poses):
             covered += [(number, task, note, path) for path in paths]
         else:
             missing = "; ".join(str(m) for m in paths[0].missing)
@@ -213,7 +213,7 @@ def _label(
         scenes = [scenes_of[number] for number in numbers]
         found = label_paths(
             planner.cell, list(tasks), scenes, [path.poses for path in paths],
-            planner.scale, fold_in(key, kind[0]), planner.config.labels,
+            planner.scale, fold_in(key, kind[0]), planner.config.labels, planner.config.direct,
         )  # fmt: skip
         for row in zip(numbers, tasks, notes, paths, scenes, found, strict=True):
             number, task, note, path, scene, routes = row
@@ -287,8 +287,3 @@ def finish_jobs(planner: Planner, engine: Engine, jobs: list[Job]) -> None:
 
 def _names(legs: list[Leg]) -> tuple:
     return tuple(leg.name for leg in legs)
-
-
-def lfd_only(planner: Planner) -> Planner:
-    """The same planner without bridges: what the skills can do alone."""
-    return replace(planner, bridge=None, config=replace(planner.config, fallback=None))

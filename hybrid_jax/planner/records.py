@@ -27,6 +27,8 @@ class PlannerConfig:
 
     skills: SkillConfig = SkillConfig()
     """Which skills are admissible and how they are mapped."""
+    direct: bool = False
+    """From key pose to key pose, without skills."""
     labels: LabelConfig = LabelConfig()
     """How configurations of key poses and way points are found and judged."""
     quick: LabelConfig | None = replace(

@@ -6,7 +6,7 @@ last. Where no feasible joint path joins the two, the leg has a gap, which the j
 The route with the fewest infeasible way points, then the shortest gaps, is a shortest path.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import numpy as np
@@ -168,6 +168,13 @@ def gripper_events(task: Task) -> np.ndarray:
     return held[1:] != held[:-1]
 
 
+def _without_steps(labels: Labels) -> Labels:
+    """No path leaves the key pose that it begins at."""
+    ahead, back = labels.ahead_ok.copy(), labels.back_ok.copy()
+    ahead[..., -1] = back[..., :-1] = False
+    return labels.replace(ahead_ok=ahead, back_ok=back, kept=np.zeros_like(labels.kept))
+
+
 def label_paths(
     cell: Workcell,
     tasks: list[Task],
@@ -176,6 +183,7 @@ def label_paths(
     scale: float,
     key: jax.Array,
     config: LabelConfig,
+    direct: bool = False,
 ) -> list[Routes]:
     """Label the skills' paths of several tasks with as many key poses each.
 
@@ -189,6 +197,7 @@ def label_paths(
         scale: manipulability that counts as 1.
         key: draws IK seeds; consumed.
         config: thresholds.
+        direct: whether every segment is a gap from key pose to key pose, see `lfd.without_skills`.
     """
     found = []
     for index, count in padded_chunks(len(tasks), TOGETHER):
@@ -199,7 +208,10 @@ def label_paths(
         labels = jax.device_get(
             label_tasks(cell, some, rows, starts, ends, scale, key, index, config)
         )
+        join = config
+        if direct:  # between near key poses too: a step from one to the other is no skill's
+            labels, join = _without_steps(labels), replace(config, max_jump=0.0)
         for i in range(count):
             one = jax.tree.map(lambda a, i=i: a[i], labels)
-            found.append(Routes(one, gripper_events(tasks[index[i]]), config))
+            found.append(Routes(one, gripper_events(tasks[index[i]]), join))
     return found

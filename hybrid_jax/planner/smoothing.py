@@ -160,14 +160,19 @@ def _required(gap: np.ndarray, config: SmoothingConfig) -> np.ndarray:
 
 
 def _resampled(q: np.ndarray, sources: np.ndarray, config: SmoothingConfig) -> MarkedPath:
-    """The path in small, even steps."""
+    """The path in small, even steps.
+
+    The way between a point of the skill and one of another source is the other's: a bridge begins
+    and ends on the skill.
+    """
     moved = np.concatenate([[True], np.abs(np.diff(q, axis=0)).max(axis=1) > 1e-5])
     moved[-1] = True
     q, sources = q[moved], sources[moved]
     steps = np.abs(np.diff(q, axis=0)).max(axis=1)
     # a way of a hair's breadth has some steps too: a spline needs them
     places = refine(q, min(config.spacing, max(1e-4, steps.max() / 4), max(steps.sum() / 4, 1e-9)))
-    return at_places(q, places), sources[np.round(places).astype(int)]
+    before = np.minimum(places.astype(int), len(q) - 2)
+    return at_places(q, places), np.maximum(sources[before], sources[before + 1])
 
 
 def _rounded(q: np.ndarray, sources: np.ndarray, width: float, config: SmoothingConfig):

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import jax
 
 from hybrid_jax.errors import RunFolderError, UnknownNameError
-from hybrid_jax.planner.ablations import ABLATIONS, ablated
-from hybrid_jax.planner.directly import joint_agent_only
+from hybrid_jax.planner.ablations import ABLATIONS, ablated, joint_agent_only, lfd_only
 from hybrid_jax.planner.loading import load_learned_chooser, load_planner
-from hybrid_jax.planner.pipeline import lfd_only, plan_batch
+from hybrid_jax.planner.pipeline import plan_batch
 from hybrid_jax.planner.records import Planner, PlanResult
 from hybrid_jax.planner.unchecked import follow_skills
 from hybrid_jax.progress import Progress
@@ -101,7 +100,7 @@ def contestant(name: str, run: Run, paper: Run | None) -> Contestant | None:
     if name == "ompl":
         return _ompl(planner)
     if name == "drl":
-        return Contestant(name, whole_space_agent(run, planner), one_by_one(joint_agent_only))
+        return Contestant(name, joint_agent_only(whole_space_agent(run, planner)), plan_batch)
     if name == "lfd":
         return Contestant(name, lfd_only(planner), plan_batch)
     if name == "lfd_executed":  # once, as nothing else would come of it again
