@@ -4,9 +4,10 @@
     python -m benchmarks.planning --json FILE
 
 OMPL comes with the extra `bench`; without it its rows are left out, and it is said. About a quarter
-of an hour on two cores, half of it training and compiling.
+of an hour on two cores, more than half of it training and compiling.
 """
 
+import importlib.util
 import time
 from collections import Counter
 from dataclasses import asdict
@@ -17,19 +18,27 @@ import numpy as np
 import tyro
 
 import hybrid_jax as hj
+from benchmarks import ompl_batch
 from benchmarks.planning_measures import measure
-from benchmarks.planning_methods import Learned, Method, learn, methods
+from benchmarks.planning_methods import (
+    SWITCH_TEST,
+    Method,
+    Optimality,
+    methods,
+    switch_optimality,
+    trained_run,
+)
 from benchmarks.report import metric, write
 from hybrid_jax.planner.checking import CheckConfig, Engine, collision_fault, limit_faults
 from hybrid_jax.planner.lfd import skill_path
+from hybrid_jax.planner.loading import load_planner
 from hybrid_jax.planner.pipeline import plan_batch
 from hybrid_jax.planner.records import Planner, PlanResult
 from hybrid_jax.planner.scenes import phase_scene, segment_kinds
-from hybrid_jax.seeds import PLANNING_BATCHES, PLANNING_TEST, PLANNING_WARM_UP
+from hybrid_jax.seeds import PLANNING_BATCHES, PLANNING_TEST, PLANNING_WARM_UP, SWITCHING_TEST
 from hybrid_jax.skills.task import Task
 from hybrid_jax.skills.tasks import random_task
 from hybrid_jax.types import Source, Status, Workcell
-from hybrid_jax.workcell.load import load_workcell
 
 FINER = CheckConfig(clearance=0.0, max_step=0.005, slack=1.0)
 """The check after the check: four times as dense, nothing beyond the limits."""
@@ -45,7 +54,7 @@ def rejected(cell: Workcell, engine: Engine, task: Task, plan: PlanResult) -> in
     return count
 
 
-def ompl(learned: Learned) -> dict[str, Method]:
+def ompl(planner: Planner) -> dict[str, Method]:
     """The rival, or nothing where it is not installed."""
     try:
         from hybrid_jax.planner.ompl_tasks import OmplTasks  # noqa: PLC0415
@@ -53,7 +62,7 @@ def ompl(learned: Learned) -> dict[str, Method]:
         print(f"{error.name} is not installed: its rows are left out "
               "(pip install 'hybrid_jax[bench]')")  # fmt: skip
         return {}
-    return {"ompl": OmplTasks(learned.planner).plan}
+    return {"ompl": OmplTasks(planner.cell, planner.config).plan}
 
 
 def trial(plan: Method, planner: Planner, task: Task, number: int) -> dict:
@@ -97,14 +106,14 @@ def rows_of(name: str, rows: list[dict]) -> list[dict]:
 
 
 def compare(
-    learned: Learned, tasks: list[Task], warm: int
+    planner: Planner, contestants: dict[str, Method], tasks: list[Task], warm: int
 ) -> tuple[list[dict], dict[str, list[dict]]]:
     """All methods, each compiled on tasks of its own first."""
-    cell, found, table = learned.planner.cell, [], {}
-    for name, plan in (methods(learned) | ompl(learned)).items():
+    cell, found, table = planner.cell, [], {}
+    for name, plan in contestants.items():
         for number in range(warm):
             plan(random_task(cell, PLANNING_WARM_UP[number]), jax.random.key(number))
-        table[name] = [trial(plan, learned.planner, task, i) for i, task in enumerate(tasks)]
+        table[name] = [trial(plan, planner, task, i) for i, task in enumerate(tasks)]
         found += rows_of(name, table[name])
         print(f"{name}: {sum(r['ok'] for r in table[name])} of {len(tasks)}", flush=True)
         failures = Counter(r["detail"] for r in table[name] if not r["ok"])
@@ -113,8 +122,8 @@ def compare(
     return found, table
 
 
-def headline(learned: Learned, table: dict[str, list[dict]]) -> list[dict]:
-    """The figures of the issue that follow from the comparison."""
+def headline(switch: Optimality, table: dict[str, list[dict]]) -> list[dict]:
+    """What follows from the comparison."""
     own = table["hybrid"]
     seams = np.array([r["seam"] for r in own if r["ok"] and np.isfinite(r["seam"])] or [np.nan])
     times = np.array([r["seconds"] for r in own])
@@ -123,11 +132,11 @@ def headline(learned: Learned, table: dict[str, list[dict]]) -> list[dict]:
         metric("planning.seconds_p99", float(np.quantile(times, 0.99)), "s", "lower", "one task"),
         metric("planning.seam_step_ratio", float(seams.max()), "1", "lower",
                f"worst of all; median {np.median(seams):.2f}, p95 {np.quantile(seams, 0.95):.2f}"),
-        metric("planning.switch_optimality", float(learned.optimality.mean()), "1", "higher",
-               f"{len(learned.optimality)} unseen phases; worst {learned.optimality.min():.3f}"),
+        metric("planning.switch_optimality", float(switch.agent.mean()), "1", "higher",
+               f"{len(switch.agent)} unseen phases; worst {switch.agent.min():.3f}"),
+        metric("planning.switch_rule_optimality", float(switch.rule.mean()), "1", "higher",
+               f"of the rule in its place, on the same phases; worst {switch.rule.min():.3f}"),
     ]  # fmt: skip
-    found.append(metric("planning.switch_rule_optimality", float(learned.rule.mean()), "1",
-                        "higher", "of the rule in its place, on the same phases"))  # fmt: skip
     if "ompl" in table:
         both = [(a, b) for a, b in zip(own, table["ompl"], strict=True) if b["ok"]]
         pairs = [(a, b) for a, b in both if a["ok"]]
@@ -141,9 +150,9 @@ def headline(learned: Learned, table: dict[str, list[dict]]) -> list[dict]:
     return found
 
 
-def batch(learned: Learned, count: int, size: int) -> list[dict]:
+def batch(planner: Planner, count: int, size: int) -> list[dict]:
     """Rate of batches of so many tasks; trajectories returned and rejected by the finer check."""
-    planner, cell = learned.planner, learned.planner.cell
+    cell = planner.cell
     engine, checked, bad, rates = Engine(cell, FINER), 0, 0, []
     for first in range(0, count, size):
         tasks = [random_task(cell, PLANNING_BATCHES[first + i]) for i in range(size)]
@@ -163,28 +172,54 @@ def batch(learned: Learned, count: int, size: int) -> list[dict]:
     ]  # fmt: skip
 
 
+def ompl_rate(workcell: str, warm: int, count: int, ours: float) -> list[dict]:
+    """OMPL's rate on tasks of a batch, beside ours; nothing where it is not installed."""
+    if importlib.util.find_spec("ompl") is None:
+        return []
+    rate, solved = ompl_batch.plans_per_second(
+        workcell, PLANNING_WARM_UP[:warm], PLANNING_BATCHES[:count]
+    )
+    return [
+        metric("planning.ompl_batch_plans_per_second", rate, "1/s", "higher",
+               f"{count} of the same tasks, a process on each core; solved {solved:.3f}"),
+        metric("planning.batch_vs_ompl", ours / rate, "1", "higher",
+               "plans/s of a batch, both on all cores"),
+    ]  # fmt: skip
+
 
 def main(
-    json: Path | None = None, tasks: int = 200, batched: int = 512, tiny: bool = False
+    json: Path | None = None,
+    run: Path | None = None,
+    tasks: int = 200,
+    batched: int = 512,
+    tiny: bool = False,
 ) -> None:
     """Print all figures.
 
     Args:
         json: file to write them to.
+        run: folder of a trained run of the handling cell; one is trained if not given.
         tasks: random tasks of the comparison.
         batched: tasks that are planned in batches of 256; 3,500 for 10^4 trajectories.
         tiny: as little of everything as shows that it runs.
     """
     hj.use_all_cores()
-    cell = load_workcell("gen3_handling")
-    learned = learn(cell, tiny)
-    tasks, batched, size, warm = (2, 4, 4, 1) if tiny else (tasks, batched, 256, 10)
-    some = [random_task(cell, seed) for seed in PLANNING_TEST[:tasks]]
-    found, table = compare(learned, some, warm)
-    found += headline(learned, table)
-    drawn = {"PLANNING_TEST": PLANNING_TEST, "PLANNING_BATCHES": PLANNING_BATCHES}
-    write(found, json, drawn)
-    found += batch(learned, batched, size)
+    tasks, batched, size, warm, unseen = (
+        (2, 4, 4, 1, 2) if tiny else (tasks, batched, 256, 10, SWITCH_TEST)
+    )
+    drawn = {"PLANNING_TEST": PLANNING_TEST, "PLANNING_BATCHES": PLANNING_BATCHES,
+             "SWITCHING_TEST": SWITCHING_TEST}  # fmt: skip
+    with trained_run(run, tiny) as opened:
+        planner = load_planner(opened)
+        some = [random_task(opened.cell, seed) for seed in PLANNING_TEST[:tasks]]
+        contestants = methods(opened, planner) | ompl(planner)
+        found, table = compare(planner, contestants, some, warm)
+        switch = switch_optimality(planner, opened.preset.switch, unseen)
+        found += headline(switch, table)
+        write(found, json, drawn)
+        found += batch(planner, batched, size)
+        rate = next(m for m in found if m["key"] == "planning.batch_plans_per_second")["value"]
+        found += ompl_rate(opened.workcell, warm, min(batched, size), rate)
     write(found, json, drawn)
 
 

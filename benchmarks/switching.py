@@ -3,8 +3,8 @@
 
     python -m benchmarks.switching --json FILE --picture PNG
 
-Five seeds each, on the same phases of training tasks; the optimum is the exact one of the same
-reward (Viterbi). About ten minutes on two cores.
+Five seeds each, on the same phases of training tasks, which are those of a trained joint agent; the
+optimum is the exact one of the same reward (Viterbi). About ten minutes on two cores.
 """
 
 from dataclasses import dataclass, replace
@@ -19,19 +19,22 @@ from scipy import stats
 import hybrid_jax as hj
 from benchmarks import drl_trainings
 from benchmarks.planning_methods import (
-    SWITCH_TASKS,
     SWITCH_TEST,
-    learn_planner,
     optimal_returns,
-    switch_problems,
+    phases_of,
+    problems,
+    trained_run,
 )
 from benchmarks.report import interval, metric, write
 from hybrid_jax.agents import switching
 from hybrid_jax.agents.switching import STEPS, Combined, SwitchConfig
+from hybrid_jax.planner.loading import load_planner
 from hybrid_jax.presets import PRESETS
-from hybrid_jax.workcell.load import load_workcell
+from hybrid_jax.seeds import BENCHMARK_TRAINING, SWITCHING_TEST
 
 SEEDS = tuple(range(5))
+SWITCH_TASKS = 24
+"""Training tasks whose phases the agents see."""
 
 
 @dataclass(frozen=True)
@@ -76,21 +79,20 @@ def rule_return(test: Combined, config: SwitchConfig) -> float:
 
 
 def study(
-    config: SwitchConfig, problems: Combined, test: Combined, seeds: tuple[int, ...] = SEEDS
+    config: SwitchConfig, training: Combined, test: Combined, seeds: tuple[int, ...] = SEEDS
 ) -> Study:
     """Train all seeds of one preset and try them on unseen phases."""
-    net = switching.make_net(problems.q.shape[-1], config)
-    world = switching.SwitchWorld(problems, config)
+    net = switching.make_net(training.q.shape[-1], config)
+    world = switching.SwitchWorld(training, config)
     trained = drl_trainings.run(world, net, config.training, seeds)
     run = jax.jit(lambda policy: switching.choose(net, policy, test, config))
     answers = [jax.device_get(run(policy)) for policy in trained.policies]
     picks = [chosen(test, choice) for choice, _ in answers]
-    each = (jax.tree.map(lambda a, i=i: a[i], test) for i in range(len(test.available)))
-    exact = np.stack([switching.optimal_switching(one, config)[0] for one in each])
+    exact = np.stack([switching.optimal_switching(one, config)[0] for one in problems(test)])
     return Study(
         episodes=np.array(trained.curve.steps) / STEPS,
         returns=np.array(trained.curve.total_reward) / config.scale,
-        best=float(optimal_returns(problems, config).mean()),
+        best=float(optimal_returns(training, config).mean()),
         optimality=np.array([r.mean() for _, r in answers]) / optimal_returns(test, config).mean(),
         rule=rule_return(test, config) / float(optimal_returns(test, config).mean()),
         infeasible=np.array([share for share, _ in picks]),
@@ -137,23 +139,33 @@ def draw(path: Path, studies: dict[str, Study]) -> None:
     plt.close(fig)
 
 
-def main(json: Path | None = None, picture: Path | None = None, tiny: bool = False) -> None:
+def main(
+    json: Path | None = None,
+    picture: Path | None = None,
+    run: Path | None = None,
+    tiny: bool = False,
+) -> None:
     """Print all figures.
 
     Args:
         json: file to write them to.
         picture: PNG to draw the training curves in.
+        run: folder of a trained run of the handling cell; one is trained if not given.
         tiny: as little of everything as shows that it runs.
     """
     hj.use_all_cores()
-    counts, seeds = ((2, 2), SEEDS[:2]) if tiny else ((SWITCH_TASKS, SWITCH_TEST), SEEDS)
-    planner = learn_planner(load_workcell("gen3_handling"), tiny)
-    problems, test = switch_problems(planner, jax.random.key(0), counts)
+    tasks, unseen, seeds = (2, 2, SEEDS[:2]) if tiny else (SWITCH_TASKS, SWITCH_TEST, SEEDS)
+    with trained_run(run, tiny) as opened:
+        planner = load_planner(opened, switch="optimal")
+        training = phases_of(planner, BENCHMARK_TRAINING[:tasks])
+        test = phases_of(planner, SWITCHING_TEST[:unseen])
     studies = {
-        name: study(settings(name, tiny), problems, test, seeds) for name in ("paper", "default")
+        name: study(settings(name, tiny), training, test, seeds) for name in ("paper", "default")
     }
     count = len(test.available)
-    write([row for name, found in studies.items() for row in rows(name, found, count)], json)
+    drawn = {"BENCHMARK_TRAINING": BENCHMARK_TRAINING, "SWITCHING_TEST": SWITCHING_TEST}
+    found = [row for name, one in studies.items() for row in rows(name, one, count)]
+    write(found, json, drawn)
     if picture:
         draw(picture, studies)
 

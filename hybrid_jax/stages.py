@@ -244,3 +244,10 @@ STAGE_FUNCTIONS: dict[str, Stage] = {
     "demo": run_demo,
 }
 """The function of each stage, in order."""
+
+
+def learn(run: Run, quiet: bool = False) -> None:
+    """All that a planner needs: the stages that the run lacks, but for the demonstration."""
+    for stage, function in STAGE_FUNCTIONS.items():
+        if stage != "demo" and not run.finished(stage):
+            function(run, quiet)

@@ -135,7 +135,7 @@ def test_scenes_side_by_side_are_as_one_by_one(cell, planner):
 def test_ompl_plans_tasks_as_our_planner_does(cell, planner, planned):
     from hybrid_jax.planner.ompl_tasks import OmplTasks
 
-    tasks = OmplTasks(planner, 0.002)
+    tasks = OmplTasks(planner.cell, planner.config, 0.002)
     tasks.way_points(planned[0], jax.random.key(0))  # compiling counts as its time
     result = tasks.plan(planned[0], jax.random.key(0))
     assert result.status is Status.OK and len(result.phases) == 3

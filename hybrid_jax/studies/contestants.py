@@ -128,5 +128,6 @@ def _ompl(planner: Planner) -> Contestant | None:
     except ImportError as error:
         remark(f"ompl: left out, {error.name} is not installed (pip install 'hybrid_jax[ompl]')")
         return None
-    tasks = OmplTasks(planner, planner.config.smoothing.margin)  # as much as our own paths keep
+    config = planner.config
+    tasks = OmplTasks(planner.cell, config, config.smoothing.margin)  # as our own paths keep
     return Contestant("ompl", planner, one_by_one(lambda _, task, key: tasks.plan(task, key)))

@@ -9,7 +9,7 @@ from hybrid_jax.checkpoints import discard, train_agent
 from hybrid_jax.planner.loading import load_bridger
 from hybrid_jax.planner.records import Planner
 from hybrid_jax.runfolder import Run, create_run, open_run
-from hybrid_jax.stages import STAGE_FUNCTIONS, training_segments
+from hybrid_jax.stages import learn, training_segments
 
 
 def whole_space_agent(run: Run, planner: Planner) -> Planner:
@@ -34,7 +34,5 @@ def paper_run(run: Run) -> Run:
         paper = open_run(folder)
     else:
         paper = create_run(run.workcell, "paper", run.seed, folder, run.skills)
-    for stage in ("map", "lfd", "drl", "switch"):
-        if not paper.finished(stage):
-            STAGE_FUNCTIONS[stage](paper, False)
+    learn(paper)
     return paper
