@@ -38,8 +38,8 @@ def rival(cell: Workcell, segments: Segments):
     return Rival(cell, segments, PAPER.joint.training)
 
 
-def speed(cell: Workcell, segments: Segments) -> list[dict]:
-    """Training steps per second of both presets and of the rival, in turns."""
+def speed(cell: Workcell, segments: Segments, rounds: int) -> list[dict]:
+    """Training steps per second of both presets and of the rival, in so many turns."""
     runs, rows = {}, []
     for name, preset in (("paper", PAPER), ("default", DEFAULT)):
         config = preset.joint
@@ -56,7 +56,7 @@ def speed(cell: Workcell, segments: Segments) -> list[dict]:
     other = rival(cell, segments)
     if other:
         runs["sb3"] = (other.train, other.rollout)
-    best = race(runs)
+    best = race(runs, rounds)
     for name in ("paper", "default"):
         rows.append(metric(f"drl.train_{name}_steps_per_second", best[name], "1/s", "higher",
                            "environment steps with learning, one seed"))  # fmt: skip
@@ -146,10 +146,12 @@ def main(
         return rows
 
     runs = {
-        "speed": lambda: speed(cell, found.training),
+        "speed": lambda: speed(cell, found.training, 1 if tiny else 8),
         "default": default,
         "paper": paper,
-        "ablation": lambda: drl_ablation.figures(cell, found, numbers[:ablation_seeds], steps),
+        "ablation": lambda: drl_ablation.figures(
+            cell, found, numbers[:ablation_seeds], steps, few=tiny
+        ),
     }
     rows = []
     for part in PARTS:

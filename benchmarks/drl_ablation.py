@@ -37,6 +37,8 @@ from hybrid_jax.types import Workcell
 CONFIG = DEFAULT.joint
 POINTS = 32
 """Points of an expert's path."""
+FEW = "corrected", "plain_expert", "plain_geodesic"
+"""Variants whose code is that of all."""
 VOXEL_WORTH, JOINT_WORTH = 3.0, 0.5
 """Weights of the geodesic distance [1/m] and of the joints' [1/rad]."""
 BEYOND = 2.0
@@ -175,12 +177,14 @@ def success(
 
 
 def figures(
-    cell: Workcell, problems: Problems, seeds: tuple[int, ...], steps: int
+    cell: Workcell, problems: Problems, seeds: tuple[int, ...], steps: int, few: bool = False
 ) -> list[dict]:
-    """Success of each variant on the held-out segments."""
+    """Success of each variant, or of `FEW`, on the held-out segments."""
     training, rows = replace(CONFIG.training, steps=steps), []
     worlds = {"corrected": lambda: ReachWorld(cell, problems.training, CONFIG.reach)}
-    for name, make in (worlds | variants(cell, problems)).items():
+    worlds |= variants(cell, problems)
+    for name in FEW if few else worlds:
+        make = worlds[name]
         world, net, policies = make(), joint.make_net(cell, CONFIG), []
         programs = make_programs(world, net, training)
         for seed in seeds:
