@@ -12,8 +12,8 @@ In a document stands a template in a comment, and below it what it is rendered t
     <!-- end -->
 
 A name in braces is the key of a figure in one of `docs/figures/*.json`; with `!n` it is the note
-that stands beside it. `{NAME@command}`, `@commit`, `@machine` say where the figures of NAME.json
-are from.
+that stands beside it. `{NAME@command}`, `@commit`, `@machine`, `@python`, `@jax` say where the
+figures of NAME.json are from; `{NAME@table}` is a table of all of them.
 """
 
 import json
@@ -49,8 +49,14 @@ class _Figures(string.Formatter):
         del args, kwargs
         if "@" in field_name:
             name, what = field_name.split("@")
-            return self._about[name][what], field_name
+            return self._of_file(self._about[name], what), field_name
         return self._metrics[field_name], field_name
+
+    @staticmethod
+    def _of_file(values: dict, what: str) -> str:
+        if what == "table":
+            return table(values["metrics"])
+        return values["versions"][what] if what in values["versions"] else values[what]
 
     def convert_field(self, value, conversion):
         return value["note"] if conversion == "n" else value
@@ -58,6 +64,21 @@ class _Figures(string.Formatter):
     def format_field(self, value, format_spec):
         return super().format_field(value["value"] if isinstance(value, dict) else value,
                                     format_spec)  # fmt: skip
+
+
+def shown(value: float) -> str:
+    """A figure in four digits, or as a whole number where it has more."""
+    return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.4g}"
+
+
+def table(metrics: list[dict]) -> str:
+    """Figures with their keys, units and notes."""
+    rows = [
+        f"| `{m['key']}` | {shown(m['value'])} | {m['unit'] if m['unit'] != '1' else ''} | "
+        f"{m['note']} |"
+        for m in metrics
+    ]
+    return "\n".join(["| key | figure | unit | what |", "|---|---|---|---|", *rows])
 
 
 def rendered(text: str, results: dict[str, dict]) -> str:
