@@ -11,6 +11,7 @@ time ends when the playback has begun to move. Some ten minutes on two cores.
 import os
 import re
 import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -64,20 +65,23 @@ def plan_in_browser(address: str) -> str:
         return told
 
 
-def follow_readme(place: Path) -> tuple[dict[str, float], str]:
+def follow_readme(place: Path, tiny: bool) -> tuple[dict[str, float], str]:
     """Seconds of each step, and what the page said.
 
     Args:
         place: empty folder.
+        tiny: install nothing, and train with preset `smoke`.
     """
+    python = sys.executable if tiny else ".venv/bin/python"
+    train = [python, "-m", "hybrid_jax.train", "--preset", "smoke"] if tiny else ["make", "train"]
     clone, seconds = place / "hybrid_jax", {}
     kept = {k: v for k, v in os.environ.items() if k != "JAX_COMPILATION_CACHE_DIR"}
     env = kept | {"XDG_CACHE_HOME": str(place / "cache")}
     began = time.monotonic()
     subprocess.run(["git", "clone", "--quiet", str(ROOT), str(clone)], check=True)
-    subprocess.run(["make", "train"], cwd=clone, env=env, check=True)
+    subprocess.run(train, cwd=clone, env=env, check=True)
     seconds["train"] = time.monotonic() - began
-    command = [".venv/bin/python", "-m", "hybrid_jax.view", "--run", "runs/gen3_handling-001"]
+    command = [python, "-m", "hybrid_jax.view", "--run", "runs/gen3_handling-001"]
     page = subprocess.Popen(command, cwd=clone, env=env, stderr=subprocess.PIPE, text=True)
     try:
         address = next(found[0] for line in page.stderr if (found := re.search(r"http\S+", line)))
@@ -90,14 +94,15 @@ def follow_readme(place: Path) -> tuple[dict[str, float], str]:
     return seconds, told
 
 
-def main(json: Path | None = None) -> None:
+def main(json: Path | None = None, tiny: bool = False) -> None:
     """Print how long it takes.
 
     Args:
         json: file to write the figures to.
+        tiny: as little of everything as shows that it runs.
     """
     with tempfile.TemporaryDirectory() as place:
-        seconds, told = follow_readme(Path(place))
+        seconds, told = follow_readme(Path(place), tiny)
     print(told)
     note = f"make train {seconds['train']:.0f}, page {seconds['page']:.0f}, then planning; {told}"
     write([metric("newcomer.seconds", seconds["all"], "s", "lower", note)], json)
