@@ -70,13 +70,13 @@ def follow_readme(place: Path, tiny: bool) -> tuple[dict[str, float], str]:
 
     Args:
         place: empty folder.
-        tiny: install nothing, and train with preset `smoke`.
+        tiny: install nothing, train with preset `smoke`, use the caches that are there.
     """
     python = sys.executable if tiny else ".venv/bin/python"
     train = [python, "-m", "hybrid_jax.train", "--preset", "smoke"] if tiny else ["make", "train"]
     clone, seconds = place / "hybrid_jax", {}
     kept = {k: v for k, v in os.environ.items() if k != "JAX_COMPILATION_CACHE_DIR"}
-    env = kept | {"XDG_CACHE_HOME": str(place / "cache")}
+    env = dict(os.environ) if tiny else kept | {"XDG_CACHE_HOME": str(place / "cache")}
     began = time.monotonic()
     subprocess.run(["git", "clone", "--quiet", str(ROOT), str(clone)], check=True)
     subprocess.run(train, cwd=clone, env=env, check=True)

@@ -38,10 +38,12 @@ def test_a_result_says_where_it_is_from(path):
 
 
 def test_templates_are_filled_and_unknown_figures_refused():
-    results = {"a": {"commit": "1234567", "metrics": [
-        {"key": "a.share", "value": 0.98765, "note": "of 10"}]}}  # fmt: skip
-    text = "x\n<!-- figures\n| {a.share:.2f} | {a.share!n} | {a@commit} |\n-->\nold\n<!-- end -->\n"
-    assert "-->\n| 0.99 | of 10 | 1234567 |\n<!-- end -->" in figures.rendered(text, results)
+    results = {"a": {"commit": "1234567", "versions": {"jax": "1.2"}, "metrics": [
+        {"key": "a.share", "value": 0.98765, "unit": "1", "note": "of 10"}]}}  # fmt: skip
+    text = "x\n<!-- figures\n{a.share:.2f} {a.share!n} {a@commit} {a@jax}\n-->\nold\n<!-- end -->\n"
+    assert "-->\n0.99 of 10 1234567 1.2\n<!-- end -->" in figures.rendered(text, results)
+    whole = figures.rendered("<!-- figures\n{a@table}\n-->\n<!-- end -->\n", results)
+    assert "|\n| `a.share` | 0.9877 |  | of 10 |\n<!-- end -->" in whole
     with pytest.raises(KeyError):
         figures.rendered(text.replace("a.share", "a.other"), results)
     twice = results | {"b": results["a"]}
