@@ -25,7 +25,8 @@ import tyro
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDER = ROOT / "docs" / "figures"
-_BLOCK = re.compile(r"(<!-- figures\n(.*?)-->\n)(.*?)(<!-- end -->)", re.DOTALL)
+BLOCK = re.compile(r"(<!-- figures\n(.*?)-->\n)(.*?)(<!-- end -->)", re.DOTALL)
+"""A template, and what it was rendered to."""
 
 
 def read_results(folder: Path = FOLDER) -> dict[str, dict]:
@@ -92,7 +93,7 @@ def rendered(text: str, results: dict[str, dict]) -> str:
     def fill(block: re.Match) -> str:
         return block[1] + figures.vformat(block[2], (), {}) + block[4]
 
-    return _BLOCK.sub(fill, text)
+    return BLOCK.sub(fill, text)
 
 
 def pages() -> list[Path]:
