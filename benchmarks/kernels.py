@@ -19,7 +19,7 @@ import tyro
 from packaging.version import Version
 
 from benchmarks import rivals
-from benchmarks.report import ROOT, metric, race, rate, write
+from benchmarks.report import metric, race, rate, write
 from hybrid_jax.devices import Spread, use_all_cores
 from hybrid_jax.ik import solve_ik
 from hybrid_jax.kernels import collision
@@ -31,6 +31,7 @@ from hybrid_jax.workcell.contacts import forbidden_contacts
 from hybrid_jax.workcell.load import load_workcell
 
 CELL = "gen3_handling"
+ROOT = Path(__file__).resolve().parents[1]
 
 
 @dataclass(frozen=True)

@@ -28,11 +28,11 @@ def _bars(ax, rows: list[dict], methods: list[str]) -> None:
                 binomtest(sum(won), len(won)).proportion_ci(method="wilson"),
             )
             colour = _COLOURS[0] if shift < 0 else _COLOURS[9]
-            ax.bar(i + shift, rate, 0.38, color=colour, label=label if i == 0 else None)
-            ax.errorbar(i + shift, rate, [[rate - interval.low], [interval.high - rate]],
-                        color="black", capsize=3)  # fmt: skip
-    ax.set(ylabel="share of runs", ylim=(0, 1.08), title="success")
-    ax.set_xticks(range(len(methods)), methods)
+            ax.barh(i + shift, rate, 0.38, color=colour, label=label if i == 0 else None)
+            spread = [[rate - interval.low], [interval.high - rate]]
+            ax.errorbar(rate, i + shift, xerr=spread, color="black", capsize=3)
+    ax.set(xlabel="share of runs", xlim=(0, 1.08), title="success, 95 % intervals")
+    _name_rows(ax, methods)
 
 
 def _causes(ax, rows: list[dict], methods: list[str]) -> None:
@@ -48,16 +48,20 @@ def _causes(ax, rows: list[dict], methods: list[str]) -> None:
         for method in methods
     }
     causes = sorted({cause for count in counts.values() for cause in count})
-    bottom = np.zeros(len(methods))
+    left = np.zeros(len(methods))
     for k, cause in enumerate(causes):
-        height = np.array([counts[method][cause] for method in methods], float)
-        ax.bar(range(len(methods)), height, 0.6, bottom=bottom, label=cause,
-               color=_COLOURS[k % len(_COLOURS)])  # fmt: skip
-        bottom += height
-    ax.set(ylabel="objects", title="what failed")
-    ax.set_xticks(range(len(methods)), methods)
-    if causes:
-        ax.legend()
+        width = np.array([counts[method][cause] for method in methods], float)
+        colour = _COLOURS[(k + 1) % len(_COLOURS)]
+        ax.barh(range(len(methods)), width, 0.6, left=left, label=cause, color=colour)
+        left += width
+    ax.set(xlabel="objects", title="what failed")
+    _name_rows(ax, methods)
+
+
+def _name_rows(ax, methods: list[str]) -> None:
+    """One row for each method, the first on top."""
+    ax.set_yticks(range(len(methods)), methods)
+    ax.invert_yaxis()
 
 
 def draw_study(path: Path, rows: list[dict]) -> None:
@@ -68,10 +72,12 @@ def draw_study(path: Path, rows: list[dict]) -> None:
         rows: runs, see `handling.row_of`.
     """
     methods = list(dict.fromkeys(row["method"] for row in rows))
-    fig, axes = plt.subplots(1, 2, figsize=(13, 4.4), layout="constrained")
+    size = (13, 1.6 + 0.34 * len(methods))
+    fig, axes = plt.subplots(1, 2, figsize=size, layout="constrained")
     _bars(axes[0], rows, methods)
     _causes(axes[1], rows, methods)
-    labels = axes[0].get_legend_handles_labels()
-    fig.legend(*labels, loc="outside lower left", ncols=2, frameon=False)
+    for axis, place in zip(axes, ("outside lower left", "outside lower right"), strict=True):
+        labels = axis.get_legend_handles_labels()
+        fig.legend(*labels, loc=place, ncols=4, frameon=False)
     fig.savefig(path, dpi=110)
     plt.close(fig)
