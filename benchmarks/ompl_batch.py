@@ -13,6 +13,9 @@ from hybrid_jax.skills.tasks import random_task
 from hybrid_jax.types import Status
 from hybrid_jax.workcell.load import load_workcell
 
+LONGEST = 1800.0
+"""Nobody waits longer for another process [s]."""
+
 
 def plans_per_second(workcell: str, warm: range, tasks: range) -> tuple[float, float]:
     """Plans per second of all cores together, and the share of tasks that are solved.
@@ -25,7 +28,7 @@ def plans_per_second(workcell: str, warm: range, tasks: range) -> tuple[float, f
     cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None
     count = usable_cores()
     context = multiprocessing.get_context("spawn")
-    gate, answers = context.Barrier(count + 1), context.SimpleQueue()
+    gate, answers = context.Barrier(count + 1), context.Queue()
     workers = [
         context.Process(
             target=_work,
@@ -36,9 +39,9 @@ def plans_per_second(workcell: str, warm: range, tasks: range) -> tuple[float, f
     ]
     for worker in workers:
         worker.start()
-    gate.wait()
+    gate.wait(LONGEST)
     began = time.perf_counter()
-    solved = sum(answers.get() for _ in workers)
+    solved = sum(answers.get(timeout=LONGEST) for _ in workers)
     seconds = time.perf_counter() - began
     for worker in workers:
         worker.join()
@@ -58,6 +61,10 @@ def _work(workcell: str, warm: range, tasks: range, core: int | None, gate, answ
         results = [ompl.plan(random_task(cell, n), jax.random.key(n)) for n in numbers]
         return sum(result.status is Status.OK for result in results)
 
-    plan(warm)
-    gate.wait()
+    try:
+        plan(warm)
+    except BaseException:
+        gate.abort()  # whoever waits is told
+        raise
+    gate.wait(LONGEST)
     answers.put(plan(tasks))

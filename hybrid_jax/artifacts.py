@@ -60,11 +60,17 @@ def write_new(path: Path, text: str) -> None:
         FileExistsError: it is there.
     """
     partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
-    partial.write_text(text)
     try:
-        os.link(partial, path)
+        partial.write_text(text)
+        try:
+            os.link(partial, path)
+        except FileExistsError:
+            raise
+        except OSError:  # a file system without hard links
+            with path.open("x") as file:
+                file.write(text)
     finally:
-        partial.unlink()
+        partial.unlink(missing_ok=True)
 
 
 def write_bytes(path: Path, content: bytes) -> None:

@@ -57,13 +57,16 @@ def main(
     first = study.SEEDS.start if seed is None else seed
     found = [contestant(name, opened, papers) for name in methods or study.METHODS]
     contestants = [one for one in found if one]
+    if not contestants:
+        raise InputError(f"nothing is left to compare: {', '.join(methods)} cannot run here")
     if video:
         return film_runs(study, opened, contestants[:2], first, video)
+    study.drawn(opened.cell, first, runs)
     metrics = run_study(study, opened, contestants, range(first, first + runs), out, quiet)
     if figures:
         from hybrid_jax.provenance import write_figures  # noqa: PLC0415
 
-        write_figures(figures, metrics, {"scenes": range(first, first + runs)})
+        write_figures(figures, metrics, {"scenes": study.drawn(opened.cell, first, runs)})
     answer(as_table(metrics), metrics, json)
     return 0
 
@@ -74,11 +77,12 @@ def run_study(study, opened, contestants, seeds: range, out: Path, quiet: bool) 
     One that was killed goes on with the runs that it lacks.
     """
     from hybrid_jax.export import write_json  # noqa: PLC0415
+    from hybrid_jax.provenance import commit  # noqa: PLC0415
     from hybrid_jax.studies.journal import Journal  # noqa: PLC0415
 
     about = {
         "run": str(opened.folder.resolve()), "cell": opened.cell.source.digest,
-        "first": seeds.start, "runs": len(seeds),
+        "first": seeds.start, "runs": len(seeds), "commit": commit(),
     }  # fmt: skip
     journal = Journal(out.with_suffix(".progress"), about)
     try:

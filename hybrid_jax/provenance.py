@@ -38,7 +38,7 @@ def provenance() -> dict:
     name = f"python -m {spec.name}" if spec else Path(sys.argv[0]).name
     return {
         "command": " ".join([name, *map(_shown, sys.argv[1:])]),
-        "commit": _commit(),
+        "commit": commit(),
         "machine": f"{_processor()}, {usable_cores()} cores, {_memory()} GiB",
         "versions": {"python": platform.python_version(), **{
             package: version(package) for package in PACKAGES
@@ -48,12 +48,17 @@ def provenance() -> dict:
 
 def _shown(argument: str) -> str:
     """An argument as it may stand in a document: no path of a machine."""
-    return Path(argument).name if argument.startswith("/") else argument
+    option, equals, value = argument.rpartition("=")
+    return option + equals + (Path(value).name if value.startswith("/") else value)
 
 
-def _commit() -> str:
-    """Of the checkout; marked where its files differ, but for the documents that are rendered."""
+def commit() -> str:
+    """Of the checkout; marked where its files differ, but for the documents that are rendered.
+
+    `unknown` where the package is not part of a checkout of its own.
+    """
     try:
+        _git("ls-files", "--error-unmatch", str(Path(__file__).resolve()))
         commit = _git("rev-parse", "--short", "HEAD")
         changed = _git("status", "--porcelain", "--untracked-files=no", "--", ".", ":!docs")
     except (OSError, subprocess.CalledProcessError):

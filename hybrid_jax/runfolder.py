@@ -35,7 +35,11 @@ class Run:
     skills: Path | None = None
     """Folder of demonstrations; the shipped ones where None."""
     workcell: str = ""
-    """Name or file that the cell was loaded by."""
+    """Name or file that the cell was loaded by, ..."""
+    tool: str = ""
+    """... and its tool frame, ..."""
+    package_paths: tuple[Path, ...] = ()
+    """... and where its packages are; see `load_workcell`."""
     listener: Callable[[str, dict], None] | None = None
     """Told the stage and the values of every line of metrics."""
 
@@ -164,7 +168,8 @@ def create_run(
         raise RunFolderError(
             f"{folder} already holds a run; add --resume to go on with it, or choose another --out"
         ) from None
-    return Run(folder, cell, preset, seed, skills and skills.resolve(), source)
+    folders = tuple(Path(one).resolve() for one in package_paths)
+    return Run(folder, cell, preset, seed, skills and skills.resolve(), source, tool, folders)
 
 
 def open_run(folder: Path | str | None, workcell: str = "") -> Run:
@@ -191,7 +196,10 @@ def open_run(folder: Path | str | None, workcell: str = "") -> Run:
             f"({values['digest'][:12]}, now {cell.source.digest[:12]}); start a new run"
         )
     skills = Path(values["skills"]) if values["skills"] else None
-    return Run(folder, cell, values["preset"], values["seed"], skills, values["workcell"])
+    return Run(
+        folder, cell, values["preset"], values["seed"], skills, values["workcell"],
+        values["tool"], tuple(map(Path, values["package_paths"])),
+    )  # fmt: skip
 
 
 def read_config(folder: Path) -> dict:

@@ -7,13 +7,15 @@ import mujoco
 import numpy as np
 
 from hybrid_jax.planner.records import PlanResult
-from hybrid_jax.planner.timing import TimingConfig, time_parameterize
+from hybrid_jax.planner.timing import TimingConfig, resting, time_parameterize
 from hybrid_jax.skills.task import Task
 from hybrid_jax.types import Status
 from hybrid_jax.workcell.compile import compile_workcell
 from hybrid_jax.workcell.description import ControllerSpec
 
 OPEN, CLOSE = "RO[1]=OFF", "RO[1]=ON"
+STILL = 0.1
+"""Share of phases in which there is nothing to do."""
 RANGES = {"hinge": 2.6, "slide": 0.7}
 
 
@@ -55,11 +57,17 @@ def random_plan(cell, rng: np.random.Generator, phases=None, carries=None):
     )  # fmt: skip
     config = TimingConfig(speed=rng.uniform(0.3, 1.0), acceleration=rng.uniform(0.2, 1.0))
     middle, width = (low + high) / 2, (high - low) / 2
-    at, paths = middle + 0.5 * width * rng.uniform(-1, 1, len(low)), []
-    for _ in range(len(task.phases)):
+    at, paths, still = middle + 0.5 * width * rng.uniform(-1, 1, len(low)), [], {}
+    for number in range(len(task.phases)):
+        if rng.random() < STILL:
+            end = at + rng.uniform(-9e-6, 9e-6, len(low))
+            still[number], at = resting(cell, at, end, 0), end
+            continue
         count = int(rng.integers(3, 9))
         away = np.cumsum(rng.normal(0, 0.15, (count, len(low))), axis=0) * width
         q = np.clip(np.vstack([at, at + away]), middle - 0.9 * width, middle + 0.9 * width)
         paths.append((q, rng.integers(0, 3, count + 1)))
         at = q[-1]
-    return task, PlanResult(Status.OK, "found", time_parameterize(cell, paths, config))
+    moving = iter(time_parameterize(cell, paths, config) if paths else [])
+    found = [still[i] if i in still else next(moving) for i in range(len(task.phases))]
+    return task, PlanResult(Status.OK, "found", found)

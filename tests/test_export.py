@@ -16,6 +16,7 @@ from hybrid_jax.agents import joint, networks
 from hybrid_jax.errors import InputError, UnknownNameError, WorkcellError
 from hybrid_jax.export import export_policy, to_joint_trajectory, write_plan
 from hybrid_jax.export.tpprogram import (
+    LEAST,
     TOLERANCE,
     controller_values,
     program_name,
@@ -112,6 +113,9 @@ def test_sparse_keeps_both_ends_and_the_tolerance():
     assert kept[0] == 0 and kept[-1] == 2000 and len(kept) < 200
     line = np.stack([np.interp(stamps, stamps[kept], c) for c in q[kept].T], axis=1)
     assert np.linalg.norm(0.5 * (line - q), axis=1).max() <= TOLERANCE + 1e-12
+    for length in range(2 * LEAST, 400):  # whatever is left at the end
+        moves = np.diff(stamps[sparse(stamps[:length], q[:length], levers[:length])])
+        assert moves.min() >= LEAST
 
 
 def test_the_controller_counts_joints_its_own_way(fpi):

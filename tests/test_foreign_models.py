@@ -47,6 +47,15 @@ def load(tmp_path, text, name="arm.urdf", **options):
     return load_workcell(tmp_path / name, **options)
 
 
+def box_mesh():
+    """A cube of 0.1 m as the text of an OBJ file."""
+    cube = np.array(np.meshgrid(*[(0, 0.1)] * 3)).reshape(3, -1).T
+    faces = [(0, 1, 2), (1, 3, 2), (4, 6, 5), (5, 6, 7), (0, 4, 1), (1, 4, 5), (2, 3, 6), (3, 7, 6),
+             (0, 2, 4), (2, 6, 4), (1, 5, 3), (3, 5, 7)]  # fmt: skip
+    text = "".join(f"v {x} {y} {z}\n" for x, y, z in cube)
+    return text + "".join(f"f {a + 1} {b + 1} {c + 1}\n" for a, b, c in faces)
+
+
 def tool_body(cell):
     return cell.model.body(int(cell.model.site_bodyid[cell.source.layout.tool_site])).name
 
@@ -124,12 +133,7 @@ MESH = '<collision><geometry><mesh filename="{}"/></geometry></collision>'
 def test_packages_are_found_or_named(tmp_path, monkeypatch):
     package = tmp_path / "ws" / "my_robot" / "meshes"
     package.mkdir(parents=True)
-    cube = np.array(np.meshgrid(*[(0, 0.1)] * 3)).reshape(3, -1).T
-    faces = [(0, 1, 2), (1, 3, 2), (4, 6, 5), (5, 6, 7), (0, 4, 1), (1, 4, 5), (2, 3, 6), (3, 7, 6),
-             (0, 2, 4), (2, 6, 4), (1, 5, 3), (3, 5, 7)]  # fmt: skip
-    text = "".join(f"v {x} {y} {z}\n" for x, y, z in cube)
-    text += "".join(f"f {a + 1} {b + 1} {c + 1}\n" for a, b, c in faces)
-    (package / "box.obj").write_text(text)
+    (package / "box.obj").write_text(box_mesh())
     robot = ARM.replace(BALL, MESH.format("package://my_robot/meshes/box.obj"), 1) + "</robot>"
     away, beside = tmp_path / "elsewhere", tmp_path / "ws" / "my_robot" / "urdf"
     for folder in (away, beside):
@@ -142,6 +146,25 @@ def test_packages_are_found_or_named(tmp_path, monkeypatch):
     assert load(away, robot).robot.shapes.count == 2
     with pytest.raises(WorkcellError, match="there is no .*none.stl"):
         load(away, robot.replace("package://my_robot/meshes/box.obj", "none.stl"))
+
+
+def test_visuals_that_are_missing_are_none_of_our_business(tmp_path):
+    """MuJoCo discards them."""
+    shape = MESH.format("package://nowhere/a.dae").replace("collision", "visual")
+    robot = ARM.replace(BALL, BALL + shape, 1) + "</robot>"
+    assert load(tmp_path, robot).robot.shapes.count == 2
+
+
+@pytest.mark.parametrize(
+    "settings, name",
+    [('meshdir="parts"', "box.obj"), ('strippath="true" meshdir="parts"', "package://x/y/box.obj")],
+)
+def test_settings_of_mujoco_in_a_urdf_count(tmp_path, settings, name):
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "box.obj").write_text(box_mesh())
+    compiler = f"<mujoco><compiler {settings}/></mujoco></robot>"
+    robot = ARM.replace(BALL, MESH.format(name), 1) + compiler
+    assert load(tmp_path, robot).robot.shapes.count == 2
 
 
 def test_a_home_is_found_where_zero_is_outside_the_limits(tmp_path):
@@ -172,13 +195,19 @@ def findings(tmp_path, text, level=WRONG):
         ('user="2 5"', 'user="1e-8 5"', WRONG, "velocity limit 1e-08 rad/s"),
         ('user="2 5"', 'user="171 900"', DOUBTFUL, "171 rad/s: was it meant in deg/s?"),
         ('pos=".4 0 0"', 'pos="400 0 0"', DOUBTFUL, "400 m long: lengths are in metres"),
-        ('name="tool"', 'name="link_tcp"', WRONG, ""),
         ('name="tool"', 'name="other"', WRONG, "no tool frame"),
         ('<geom name="arm"', '<geom contype="0" conaffinity="0"', WRONG, "no geom of the arm"),
     ],
 )
 def test_each_doubt_says_its_likely_cause(tmp_path, old, new, level, words):
     assert words in findings(tmp_path, CELL.format(more="").replace(old, new), level)
+
+
+@pytest.mark.parametrize("name", ["link_tcp", "pinch", "attachment_site", "grasp_site"])
+def test_usual_names_of_tools_are_known(tmp_path, name):
+    text = CELL.format(more="").replace('name="tool"', f'name="{name}"')
+    assert not findings(tmp_path, text)
+    assert load_workcell(str(tmp_path / "cell.xml")).source.layout.tool_site >= 0
 
 
 def test_limits_that_are_no_numbers_do_not_load(tmp_path):

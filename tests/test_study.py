@@ -27,11 +27,12 @@ from hybrid_jax.simulation.sensing import sense_cell
 from hybrid_jax.simulation.sorting import ObjectReport, in_tray
 from hybrid_jax.skills.scenes import sample_scene
 from hybrid_jax.skills.task import yaw_of
-from hybrid_jax.studies import choosing, contestants, handlingpictures
+from hybrid_jax.studies import choosing, contestants, handlingpictures, inspection
 from hybrid_jax.studies import handling as study
 from hybrid_jax.studies.journal import Journal
 from hybrid_jax.types import Source, Status
 from hybrid_jax.workcell.layout import home_qpos
+from hybrid_jax.workcell.load import load_workcell
 
 
 def run_of(seed: int, causes: list[str]) -> SortingReport:
@@ -154,6 +155,14 @@ def test_a_second_try_is_no_first_one():
     assert metrics["handling.hybrid_object_first_try"] == 0.75
 
 
+def test_plans_that_came_to_nothing_count_in_their_mean_time():
+    run = run_of(0, [""])
+    run.reports[0].asked, run.reports[0].tries, run.reports[0].planning_s = 3, 0, 0.6
+    metrics = study.summarize([study.row_of("lfd", run)], {"lfd": 1.0})
+    each = next(m["value"] for m in metrics if m["key"] == "handling.lfd_planning_time")
+    np.testing.assert_allclose(each, 0.2)
+
+
 def test_what_stands_out_over_the_rim_does_not_lie_in_its_tray(cell):
     """Its middle is inside; and one that hovers over the floor does not lie on it."""
     sensed, index = sense_cell(cell), cell.source.layout.object_names.index("hammer")
@@ -229,6 +238,29 @@ def test_a_study_that_was_stopped_goes_on_with_what_it_lacks(cell, tmp_path, mon
         (name, seed) for name in ("hybrid", "lfd") for seed in seeds
     ]
     assert not out.with_suffix(".progress").exists()
+
+
+def test_what_a_kill_tore_is_made_again_and_kept(tmp_path):
+    path, about = tmp_path / "a.progress", {"runs": 4}
+    journal = Journal(path, about)
+    journal.add("hybrid", [1, 2], [{"seed": 1}], 1.0)
+    journal.close(finished=False)
+    path.write_text(path.read_text() + '{"method": "hybrid", "numbers": [3')
+    for missing in ([3, 4], []):
+        again = Journal(path, about)
+        assert again.missing("hybrid", [1, 2, 3, 4]) == missing
+        again.add("hybrid", missing, [{"seed": 3}], 1.0)
+        again.close(finished=False)
+
+
+def test_a_study_states_the_seeds_that_it_draws(cell):
+    fpi = load_workcell("fpi")
+    assert study.drawn(cell, 7, 3) == range(7, 10)
+    first, parts = inspection.SEEDS.start, len(fpi.source.task.parts)
+    assert inspection.drawn(fpi, first, 2) == range(first, first + 2 * parts)
+    assert inspection.drawn(fpi, first + 1, 1) == range(first + parts, first + 2 * parts)
+    with pytest.raises(InputError, match="ask for fewer runs"):
+        inspection.drawn(fpi, first, 10_001)
 
 
 def test_two_studies_do_not_share_a_file(tmp_path):

@@ -13,10 +13,12 @@ import pytest
 
 from hybrid_jax.planner.joints import plan_joint_motion
 from hybrid_jax.planner.pipeline import plan_motion
-from hybrid_jax.planner.turns import nearest_goal, turns_from, winding
+from hybrid_jax.planner.records import PlanResult
+from hybrid_jax.planner.turns import nearest_goal, plan_in_turns, turns_from, winding
 from hybrid_jax.skills.handling import handling_task
 from hybrid_jax.skills.scenes import sample_scene
-from hybrid_jax.types import Status
+from hybrid_jax.skills.task import Task
+from hybrid_jax.types import Status, Trajectory
 from hybrid_jax.workcell.compile import compile_workcell
 
 TURNING = """
@@ -108,6 +110,50 @@ def test_a_task_that_starts_one_turn_off_is_as_short_as_from_home(planner):
     low, high = np.asarray(cell.joint_limits).T
     for phase in far.phases:
         assert ((phase.positions >= low) & (phase.positions <= high)).all()
+
+
+def straight(tasks):
+    """A planner that goes straight to where a task ends."""
+    phases = [resting(np.asarray(task.start), np.asarray(task.end)) for task in tasks]
+    return [PlanResult(Status.OK, "found", [phase]) for phase in phases]
+
+
+def resting(start, end):
+    still = np.zeros((2, len(start)))
+    return Trajectory(np.arange(2.0), np.stack([start, end]), still, still, np.zeros(2, np.uint8))
+
+
+@pytest.mark.parametrize(
+    "start, end, found",
+    [  # base has no limits, wrist goes from -9.5 to 9.5
+        ([0, 2 * np.pi, 0], [0, 2 * np.pi, 0], [0, 2 * np.pi, 0]),
+        ([0, 2 * np.pi, 0], [0, 0.1, 0], [0, 2 * np.pi + 0.1, 0]),
+        ([0, 0, 2 * np.pi], [0, 0, 2 * np.pi], [0, 0, 2 * np.pi]),
+        ([0, 0, 2 * np.pi], [0, 0, 0.1], [0, 0, 2 * np.pi + 0.1]),
+        ([0, 0, 0], [0, 0, -2 * np.pi], [0, 0, 0]),
+        ([0, 0, 9.4], [0, 0, 0.2], [0, 0, 0.2 + 2 * np.pi]),
+        ([0, 0, 9.4], [0, 0, -3.0], [0, 0, -3.0]),  # the nearest reading is beyond the limit
+    ],
+)
+def test_a_task_ends_in_the_reading_nearest_to_its_start(turning, start, end, found):
+    start, end = (np.array(q, np.float32) for q in (start, end))
+    task = Task("x", np.zeros((0, 7)), np.zeros((2, 8)), (False,), start, end)
+    result = plan_in_turns(turning, [task], straight)[0]
+    np.testing.assert_allclose(result.phases[0].positions[0], start, atol=1e-5)
+    np.testing.assert_allclose(result.phases[-1].positions[-1], found, atol=1e-5)
+    other = np.abs(np.array(found) - end).max() > 1
+    assert ("from the end that the task names" in result.detail) == other
+
+
+def test_a_joint_without_limits_may_be_at_home_anywhere():
+    """Starts are brought within half a turn of home, and that is inside what is planned in."""
+    model = mujoco.MjModel.from_xml_string(TURNING.replace(
+        "</mujoco>", '<keyframe><key name="home" qpos="0 4 0"/></keyframe></mujoco>'
+    ))
+    cell = compile_workcell(model, "turned", None)
+    result = plan_joint_motion(cell, [0, 0.5, 0], [0, 1.0, 0], key=jax.random.key(0))
+    assert result.status is Status.OK, result.detail
+    np.testing.assert_allclose(result.phases[0].positions[[0, -1], 1], [0.5, 1.0], atol=1e-6)
 
 
 def test_where_turning_back_would_leave_the_limits_the_arm_unwinds_once(planner):

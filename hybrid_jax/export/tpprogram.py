@@ -156,6 +156,9 @@ def sparse(stamps: np.ndarray, q: np.ndarray, levers: np.ndarray) -> list[int]:
         while end < last and _even(stamps, q, levers, first, end + 1):
             end += 1
         kept.append(end)
+    # the last move may be what was left: it takes some of the one before, all of which is even
+    if len(kept) > 2 and last - kept[-2] < LEAST <= (last - kept[-3]) / 2:
+        kept[-2] = last - LEAST
     return kept
 
 

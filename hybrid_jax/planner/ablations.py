@@ -15,7 +15,7 @@ from hybrid_jax.agents import joint, networks
 from hybrid_jax.agents.joint import Bridger
 from hybrid_jax.agents.segments import Segments
 from hybrid_jax.agents.switching import Combined
-from hybrid_jax.errors import InputError
+from hybrid_jax.errors import InputError, UnknownNameError
 from hybrid_jax.kernels.edges import paths_are_free
 from hybrid_jax.planner.bridging import rrt_bridger
 from hybrid_jax.planner.lfd import SkillChooser
@@ -74,7 +74,7 @@ def straight_bridger(cell: Workcell) -> Bridger:
 
 
 def untrained_bridger(cell: Workcell, config: joint.JointAgentConfig) -> Bridger:
-    """The joint agent with the weights that its training begins with."""
+    """The joint agent with random weights, drawn once."""
     net = joint.make_net(cell, config)
     policy = networks.blank_policy(net, joint.observation_length(cell, config))
     return joint.make_bridger(cell, net, policy, config)
@@ -90,6 +90,9 @@ def ablated(
         planner: complete.
         preset: that its agents were made by.
         chooser: makes the hierarchical DQN's, where it is asked for.
+
+    Raises:
+        UnknownNameError: no such ablation.
     """
     cell = planner.cell
     if name == "rrt":
@@ -102,4 +105,6 @@ def ablated(
         return replace(planner, switch=rule_switcher)
     if name == "optimal_switch":
         return replace(planner, switch=optimal_switcher(preset.switch))
-    return replace(planner, choose=chooser())
+    if name == "dqn":
+        return replace(planner, choose=chooser())
+    raise UnknownNameError("ablation", name, ABLATIONS)

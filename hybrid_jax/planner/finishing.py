@@ -115,7 +115,7 @@ def time_path(
 ) -> Trajectory | None:
     """Smooth and time a joint path; None if it keeps no margin."""
     if timing.is_resting(q):
-        return timing.resting(q[0], q[-1], int(sources[-1]))
+        return timing.resting(cell, q[0], q[-1], int(sources[-1]))
     smoothed = smoothing.smooth(cell, q, sources, smoothness)
     return smoothed and timing.time_parameterize(cell, [smoothed], speed, [tool_speed])[0]
 
@@ -227,7 +227,7 @@ def _moving(
     found = {i: motion for i, motion in zip(kept, timed, strict=True) if motion is not None}
     for i, (q, sources) in paths.items():
         if timing.is_resting(q):
-            found[i] = timing.resting(q[0], q[-1], int(sources[-1]))
+            found[i] = timing.resting(planner.cell, q[0], q[-1], int(sources[-1]))
     return found
 
 

@@ -116,7 +116,7 @@ def plan_joint_motion(
     """
     engine, scene = Engine(cell, config.check), scene or home_scene(cell)
     inside = in_scene(cell, scene)
-    start, goal, turns = _near_zero(cell, start, goal)
+    start, goal, turns = _near_home(cell, start, goal)
     ends, note, refusal = _admit(engine, inside, scene, start, goal)
     if refusal:
         return refusal
@@ -127,15 +127,15 @@ def plan_joint_motion(
     return rewound(cell, found, turns) or found
 
 
-def _near_zero(cell: Workcell, start, goal) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Both ends where joints without limits start within half a turn of zero and go the shorter
+def _near_home(cell: Workcell, start, goal) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Both ends where joints without limits start within half a turn of home and go the shorter
     way; and the turns that were taken off."""
     start, goal = np.asarray(start, float), np.asarray(goal, float)
     if start.shape != cell.home.shape or goal.shape != start.shape:
         return start, goal, np.zeros(1)  # for `within_limits` to refuse
     if not (np.isfinite(start) & np.isfinite(goal)).all():
         return start, goal, np.zeros(1)
-    turns = np.where(unlimited(cell), turns_from(cell, start, 0 * start), 0.0)
+    turns = np.where(unlimited(cell), turns_from(cell, start, np.asarray(cell.home)), 0.0)
     return start - turns, nearest_goal(cell, start - turns, goal), turns
 
 
@@ -144,7 +144,7 @@ def _plan_between(
 ) -> PlanResult:
     """A checked motion between two free configurations."""
     if np.abs(goal - start).max() < RESTING:
-        return PlanResult(Status.OK, Status.OK.sentence, [resting(start, goal, Source.RRT)])
+        return PlanResult(Status.OK, Status.OK.sentence, [resting(cell, start, goal, Source.RRT)])
     path = find_path(cell, start, goal, config, key)
     if path is None:
         detail = f"no path was found from start to goal in {len(config.searches)} searches"

@@ -253,7 +253,8 @@ def bridge_jobs(planner: Planner, fallback, jobs: list[Job], key: Array) -> None
 
 def why_unbridged(planner: Planner, fallback, start: int, end: int) -> tuple[Status, str]:
     """Status and sentence where a gap between two key poses has not been bridged."""
-    where = f"key pose {start} to {end}: no way around an infeasible part of the skill's path"
+    gap = "" if planner.config.direct else " around an infeasible part of the skill's path"
+    where = f"key pose {start} to {end}: no way{gap}"
     if planner.bridge is None and fallback is None:
         return Status.NO_PATH, f"{where}: nothing is there to look for one"
     if planner.bridge is None:

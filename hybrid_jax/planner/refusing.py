@@ -101,10 +101,7 @@ def why_infeasible(cell: Workcell, engine: Engine, task: Task, routes: Routes) -
         if not labels.usable[k].any():
             return _why_unreachable(cell, engine, task, k, labels)
     a = routes.blocked_segment()
-    return (
-        f"key pose {a} to {a + 1}: no candidate of either begins a feasible joint path along "
-        "the skill"
-    )
+    return f"key pose {a} to {a + 1}: no candidate of either begins a feasible joint path"
 
 
 def _why_unreachable(cell: Workcell, engine: Engine, task: Task, k: int, labels) -> str:

@@ -194,10 +194,16 @@ def is_resting(q: np.ndarray) -> bool:
     return bool(np.ptp(q, axis=0).max() < RESTING)
 
 
-def resting(start: np.ndarray, end: np.ndarray, source: int) -> Trajectory:
-    """A trajectory where there is nothing to do: at rest, the two configurations being one."""
-    still = np.zeros((2, len(start)))
-    times, sources = np.array([0.0, WHOLE]), np.full(2, source, np.uint8)
+def resting(cell: Workcell, start: np.ndarray, end: np.ndarray, source: int) -> Trajectory:
+    """A trajectory where there is nothing to do: at rest, the two configurations being one.
+
+    A controller interpolates between them all the same, and keeps the limits of acceleration.
+    """
+    still, way = np.zeros((2, len(start))), np.abs(np.asarray(end, float) - start)
+    # a cubic from rest to rest asks for six times the way over the square of the time
+    least = np.sqrt(np.max(6 * way / np.asarray(cell.chain.acceleration_limits, float)))
+    times = np.array([0.0, WHOLE * max(1.0, np.ceil(least / WHOLE))])
+    sources = np.full(2, source, np.uint8)
     return Trajectory(times, np.stack([start, end]).astype(float), still, still.copy(), sources)
 
 

@@ -3,7 +3,8 @@
 
 A whole turn of a hinge changes nothing but its reading. So a task that starts some turns away is
 planned as one that starts near home, and its motions are moved by the turns again: the arm unwinds
-only where a limit asks for it.
+only where a limit asks for it. Its end is met in the reading nearest to the start; the answer says
+where that is not the one that was named.
 """
 
 from collections.abc import Callable
@@ -69,20 +70,40 @@ def plan_in_turns(
     Args:
         cell: of the tasks.
         tasks: to be planned.
-        plan: plans them; where a joint can turn so, their starts are within half a turn of home.
+        plan: plans them; where a joint can turn so, their starts are within half a turn of home,
+            and their ends of the starts.
     """
     turns = [_turns(cell, np.asarray(task.start, float)) for task in tasks]
-    near = [
-        replace(task, start=(task.start - shift).astype(np.float32)) if shift.any() else task
-        for task, shift in zip(tasks, turns, strict=True)
-    ]
+    near = [_near(cell, task, shift) for task, shift in zip(tasks, turns, strict=True)]
     results = zip(plan(near), turns, strict=True)
     found = [rewound(cell, result, shift) for result, shift in results]
     unwinding = [i for i, result in enumerate(found) if result is None]
     if unwinding:
         for i, result in zip(unwinding, plan([tasks[i] for i in unwinding]), strict=True):
             found[i] = result
-    return found
+    return [_saying_turns(cell, task, result) for task, result in zip(tasks, found, strict=True)]
+
+
+def _near(cell: Workcell, task: Task, shift: np.ndarray) -> Task:
+    """A task with its start so many turns back, and its end in the reading nearest to that."""
+    if shift.any():
+        task = replace(task, start=(task.start - shift).astype(np.float32))
+    if task.end is None or np.shape(task.end) != np.shape(task.start):
+        return task
+    low, high = np.asarray(cell.joint_limits, float).T
+    end = task.end - turns_from(cell, task.end, task.start)
+    end = np.where(unlimited(cell) | ((end >= low) & (end <= high)), end, task.end)
+    return task if (end == task.end).all() else replace(task, end=end.astype(np.float32))
+
+
+def _saying_turns(cell: Workcell, task: Task, result: PlanResult) -> PlanResult:
+    """The plan, with a sentence where it ends in another reading than the task names."""
+    if task.end is None or not result.phases:
+        return result
+    turns = np.round(turns_from(cell, result.phases[-1].positions[-1], task.end) / TURN).astype(int)
+    said = [f"{name} ends {n:+d} turns from the end that the task names"
+            for name, n in zip(cell.joint_names, turns, strict=True) if n]  # fmt: skip
+    return replace(result, detail="; ".join([result.detail, *said]))
 
 
 def _turns(cell: Workcell, start: np.ndarray) -> np.ndarray:

@@ -68,4 +68,4 @@ def _timed(planner: Planner, way: np.ndarray, tool_speed: float) -> Trajectory:
     motion = timing.time_parameterize(
         planner.cell, [path], planner.config.timing, [tool_speed]
     )[0] if path else None  # fmt: skip
-    return motion or timing.resting(way[0], way[-1], Source.LFD)
+    return motion or timing.resting(planner.cell, way[0], way[-1], Source.LFD)

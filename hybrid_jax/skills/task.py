@@ -29,7 +29,8 @@ class Task:
     start: np.ndarray
     """`[joint]` configuration in which the arm stands [rad]."""
     end: np.ndarray | None = None
-    """`[joint]` configuration to end in [rad]; None for any that has the last key pose."""
+    """`[joint]` configuration to end in [rad], up to whole turns of joints that can stand in one
+    place with two readings; None for any that has the last key pose."""
     stops: tuple[int, ...] = ()
     """Inner key poses at which the arm comes to rest though the gripper does not move: only there
     they are met exactly."""

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hybrid_jax import seeds
+from hybrid_jax.errors import InputError
 from hybrid_jax.runfolder import Run
 from hybrid_jax.simulation.inspecting import EXACT, InspectionReport, Trial, inspect_parts
 from hybrid_jax.skills.inspection import require_inspection
@@ -54,6 +55,23 @@ def _trial_seed(seed: int, part: int, parts: int) -> int:
     """A seed for each trial of a run; those of the study stay in its range."""
     first = SEEDS.start if seed >= SEEDS.start else 0
     return first + parts * (seed - first) + part
+
+
+def drawn(cell: Workcell, first: int, runs: int) -> range:
+    """Seeds of all trials of so many runs of each part.
+
+    Raises:
+        InputError: they would leave the study's range.
+    """
+    parts = len(require_inspection(cell).parts)
+    start = _trial_seed(first, 0, parts)
+    found = range(start, start + runs * parts)
+    if first >= SEEDS.start and found.stop > SEEDS.stop:
+        raise InputError(
+            f"{runs} runs from seed {first} on draw seeds {found.start} to {found.stop - 1} for "
+            f"{parts} parts; those of the study end at {SEEDS.stop - 1}: ask for fewer runs"
+        )
+    return found
 
 
 def row_of(method: str, report: InspectionReport) -> dict:

@@ -33,7 +33,10 @@ class Journal:
                 "--out"
             ) from None
         self._file.seek(0)
-        lines = [line for line in map(_line, self._file.read().splitlines()) if line]
+        text = self._file.read()
+        if text and not text.endswith("\n"):  # a kill tore the last line
+            self._file.truncate(len(text[: text.rfind("\n") + 1].encode()))
+        lines = [line for line in map(_line, text.splitlines(keepends=True)) if line]
         if lines and lines[0] != {"about": about}:
             self._file.close()
             raise RunFolderError(
@@ -82,7 +85,7 @@ class Journal:
 def _line(text: str) -> dict | None:
     """One entry; None for a line that a kill tore."""
     try:
-        found = json.loads(text)
+        found = json.loads(text) if text.endswith("\n") else None
     except ValueError:
         return None
     return found if isinstance(found, dict) else None

@@ -33,6 +33,8 @@ def paper_run(run: Run) -> Run:
     if (folder / "config.json").is_file():
         paper = open_run(folder)
     else:
-        paper = create_run(run.workcell, "paper", run.seed, folder, run.skills)
+        paper = create_run(
+            run.workcell, "paper", run.seed, folder, run.skills, run.tool, run.package_paths
+        )
     learn(paper)
     return paper

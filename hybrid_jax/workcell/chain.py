@@ -15,7 +15,7 @@ DEFAULT_VELOCITY = 1.0
 DEFAULT_ACCELERATION = 5.0
 """The same for accelerations [rad/s^2 or m/s^2]."""
 UNLIMITED = -2 * np.pi, 2 * np.pi
-"""Range in which a hinge without limits is planned [rad]: from any angle, a turn either way."""
+"""Range about home in which a hinge without limits is planned [rad]: a turn either way."""
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 
 
@@ -40,8 +40,8 @@ def joint_frames(model, data, layout) -> list:
 
 
 def _limits(model, layout) -> np.ndarray:
-    rows = []
-    for name, j in zip(layout.joint_names, layout.joints, strict=True):
+    rows, home = [], home_qpos(model)[list(layout.qpos)]
+    for name, j, zero in zip(layout.joint_names, layout.joints, home, strict=True):
         low, high = model.jnt_range[j]
         if low > high or model.jnt_limited[j] and low == high:
             # MuJoCo takes a range that is turned round as none
@@ -51,7 +51,7 @@ def _limits(model, layout) -> np.ndarray:
         if model.jnt_limited[j]:
             rows.append((low, high))
         elif model.jnt_type[j] == _HINGE:
-            rows.append(UNLIMITED)
+            rows.append((zero + UNLIMITED[0], zero + UNLIMITED[1]))
         else:
             raise WorkcellError(f"slide joint {name!r} has no range: add range='lower upper'")
     return np.array(rows)

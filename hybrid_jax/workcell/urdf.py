@@ -30,26 +30,37 @@ def read_urdf(path: Path, package_paths: Sequence[Path] = ()) -> mujoco.MjSpec:
         robot = ElementTree.fromstring(path.read_bytes())
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise WorkcellError(f"{path.name} is no XML: {error}") from None
+    compiler = _compiler(robot)
+    _leave_visuals_out(robot, compiler)
     for mesh in robot.iter("mesh"):
         if "filename" in mesh.attrib:
-            mesh.set("filename", str(_mesh_path(path, mesh.get("filename", ""), package_paths)))
-    _keep_paths(robot)
+            found = _mesh_path(path, mesh.get("filename", ""), package_paths, compiler)
+            mesh.set("filename", str(found))
+    # the names are whole paths now
+    compiler.set("strippath", "false")
+    compiler.attrib.pop("meshdir", None)
     spec = mujoco.MjSpec.from_string(ElementTree.tostring(robot, encoding="unicode"))
     spec.compiler.fusestatic = False  # a tool link without geometry would vanish
     _state_velocities(spec, robot)
     return spec
 
 
-def _keep_paths(robot: ElementTree.Element) -> None:
-    """Tell MuJoCo not to strip the folders off the meshes' names."""
+def _compiler(robot: ElementTree.Element) -> ElementTree.Element:
+    """MuJoCo's settings in a URDF; made where there are none."""
     extension = robot.find("mujoco")
     if extension is None:
         extension = ElementTree.SubElement(robot, "mujoco")
     compiler = extension.find("compiler")
-    if compiler is None:
-        compiler = ElementTree.SubElement(extension, "compiler")
-    compiler.set("strippath", "false")
-    compiler.attrib.pop("meshdir", None)
+    return ElementTree.SubElement(extension, "compiler") if compiler is None else compiler
+
+
+def _leave_visuals_out(robot: ElementTree.Element, compiler: ElementTree.Element) -> None:
+    """Take visuals out where MuJoCo would discard them: their meshes may be missing."""
+    if compiler.get("discardvisual", "true") != "true":
+        return
+    for link in robot.iter("link"):
+        for visual in link.findall("visual"):
+            link.remove(visual)
 
 
 def _state_velocities(spec: mujoco.MjSpec, robot: ElementTree.Element) -> None:
@@ -68,12 +79,22 @@ def _state_velocities(spec: mujoco.MjSpec, robot: ElementTree.Element) -> None:
             ) from None
 
 
-def _mesh_path(urdf: Path, name: str, package_paths: Sequence[Path]) -> Path:
-    """Where a mesh's file is.
+def _mesh_path(
+    urdf: Path, name: str, package_paths: Sequence[Path], compiler: ElementTree.Element
+) -> Path:
+    """Where a mesh's file is: where MuJoCo's settings say, else where its name does.
 
     Raises:
         WorkcellError: it is nowhere; the message says where it was looked for.
     """
+    folder = urdf.parent / compiler.get("meshdir", "")
+    bare = name.removeprefix("file://").removeprefix(PACKAGE)
+    stated = [folder / bare] if "meshdir" in compiler.attrib else []
+    if compiler.get("strippath") == "true":
+        stated.append(folder / Path(bare).name)
+    for path in stated:
+        if path.is_file():
+            return path.resolve()
     if not name.startswith(PACKAGE):
         path = urdf.parent / name.removeprefix("file://")
         if not path.is_file():
