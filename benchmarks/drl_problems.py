@@ -5,7 +5,7 @@ The test takes infeasible segments of tasks that nothing was tuned on, those tha
 solves: an agent that fails on one of them fails on something that can be done.
 """
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import jax
@@ -14,6 +14,7 @@ import numpy as np
 
 from hybrid_jax import artifacts
 from hybrid_jax.agents.segments import Segments, free_pairs, join, take
+from hybrid_jax.errors import RunFolderError
 from hybrid_jax.feasibility.building import build_feasibility_map
 from hybrid_jax.planner.harvest import harvest
 from hybrid_jax.planner.lfd import optimal_chooser
@@ -98,13 +99,23 @@ def draw(cell: Workcell, sizes: Sizes) -> Problems:
 
 
 def problems(cell: Workcell, file: Path | None, sizes: Sizes = Sizes()) -> Problems:
-    """From a file if it is there, else from scratch (and into the file)."""
+    """From a file if it is there, else from scratch (and into the file).
+
+    Raises:
+        RunFolderError: the file is of other seeds or sizes.
+    """
+    drawn = {name: [some.start, some.stop] for name, some in SEEDS.items()} | asdict(sizes)
     if file and file.is_file():
-        state = artifacts.load(file, "problems", cell.source.digest)[1]
+        header, state = artifacts.load(file, "problems", cell.source.digest)
+        if header.get("drawn") != drawn:
+            raise RunFolderError(
+                f"{file} holds problems of {header.get('drawn')}, not of {drawn}: choose another "
+                "file, or remove it"
+            )
         template = Problems(*[Segments(cell.scene, cell.home, cell.home)] * 3)
         found = artifacts.restore(template, state, str(file), batched=True)
         return jax.tree.map(jnp.asarray, found)
     found = draw(cell, sizes)
     if file:
-        artifacts.save(file, "problems", cell.source.digest, found)
+        artifacts.save(file, "problems", cell.source.digest, found, drawn=drawn)
     return found

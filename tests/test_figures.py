@@ -34,8 +34,12 @@ SHARE = (
     r"\d of (?:the )?\d\d|\d ?% (?:of (?:the )?(?:runs|trials|tasks|points|poses|way)"
     r"|fewer|more|less|faster|shorter)"
 )
-MEASURED = re.compile(rf"throw-away|{RATE}|{RATIO}|{SHARE}")
-NUMBER = re.compile(r"[~<>+-]? ?\d[\d.,]*( ?(%|k|ms|s|mm|deg|us|1/s|min|rad|cm))?( \(.*\))?")
+PROSE = (
+    r"(?<![\w.])0\.\d+ of|instead of \d|(?:took|takes) (?:about |some )?\d"
+    r"|\d times (?:short|long|few|more|less)|\d min\b"
+)
+MEASURED = re.compile(rf"throw-away|\b[A-Z]+_[A-Z]*SHO\w+|{RATE}|{RATIO}|{SHARE}|{PROSE}")
+NUMBER = re.compile(r"[~<>+-]? ?\d[\d.,]*( ?(%|k|ms|s|mm|deg|us|1/s|min|rad|cm))?( each| \(.*\))?")
 
 
 def unbacked(text: str) -> list[str]:
@@ -66,6 +70,9 @@ def test_figures_that_no_result_backs_are_found():
     assert unbacked("it makes 56 plans/s")
     assert unbacked("| key | what | 0.99 (of 200) |")
     assert unbacked("99 of 100 runs, with a throw-away script")
+    assert unbacked("one task takes 47 ms") and unbacked("the study took 37 min")
+    assert unbacked("it solves 0.99 of the tasks") and unbacked("1.6 times shorter")
+    assert unbacked("16.5 s instead of 10.8 s") and unbacked("| what | 0.47 ms each |")
     assert not unbacked("<!-- given -->\n| tolerance | 0.30 |\n| x | 5 |\n\nword")
     assert not unbacked("<!-- figures\n{a}\n-->\n| a | 0.5 |\n<!-- end -->\nthe supervisor: 50 ms")
 
@@ -98,17 +105,20 @@ def test_templates_are_filled_and_unknown_figures_refused():
 def test_collected_problems_are_taken_from_their_file(cell, tmp_path, monkeypatch):
     """A file that is there is read, and nothing is collected."""
     from benchmarks import drl_problems
-    from hybrid_jax import artifacts
     from hybrid_jax.agents.segments import Segments
+    from hybrid_jax.errors import RunFolderError
 
     scenes = jax.tree.map(lambda a: np.stack([a, a]), cell.scene)
     ends = np.tile(np.asarray(cell.home), (2, 1))
     one = Segments(scenes, ends, ends + np.float32(0.1))
     path = tmp_path / "problems.npz"
-    artifacts.save(path, "problems", cell.source.digest, drl_problems.Problems(one, one, one))
+    monkeypatch.setattr(drl_problems, "draw", lambda *_: drl_problems.Problems(one, one, one))
+    drl_problems.problems(cell, path)
     monkeypatch.setattr(drl_problems, "draw", None)
     found = drl_problems.problems(cell, path)
     np.testing.assert_array_equal(found.held_out.goal, ends + np.float32(0.1))
+    with pytest.raises(RunFolderError, match="'training': 100.*not of"):
+        drl_problems.problems(cell, path, drl_problems.TINY)
 
 
 TINY = [
