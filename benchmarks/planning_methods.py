@@ -18,6 +18,7 @@ from hybrid_jax.planner.ablations import (
     ablated,
     joint_agent_only,
     lfd_only,
+    plan_directly,
     rule_switcher,
 )
 from hybrid_jax.planner.loading import load_learned_chooser
@@ -98,6 +99,7 @@ def switch_optimality(planner: Planner, config: switching.SwitchConfig, count: i
 def methods(run: Run, planner: Planner) -> dict[str, Method]:
     """Every method by its name; `hybrid` is the planner as `load_planner` gives it."""
     alone = replace(planner, config=replace(planner.config, fallback=None))
+    direct = joint_agent_only(whole_space_agent(run, planner))
 
     def with_(some: Planner) -> Method:
         return lambda task, key: plan_motion(some, task, key=key)
@@ -112,5 +114,5 @@ def methods(run: Run, planner: Planner) -> dict[str, Method]:
         },
         "no_fallback": with_(alone),
         "lfd": with_(lfd_only(planner)),
-        "drl": with_(joint_agent_only(whole_space_agent(run, planner))),
+        "drl": lambda task, key: plan_directly(direct, [task], key=key)[0],
     }

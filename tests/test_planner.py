@@ -22,7 +22,7 @@ from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.collision import clearance
 from hybrid_jax.kernels.edges import path_clearance
 from hybrid_jax.planner import checking, smoothing
-from hybrid_jax.planner.ablations import joint_agent_only, lfd_only
+from hybrid_jax.planner.ablations import joint_agent_only, lfd_only, plan_directly
 from hybrid_jax.planner.bridging import bridge_gaps
 from hybrid_jax.planner.finishing import find_faults
 from hybrid_jax.planner.pipeline import plan_batch, plan_motion, prepare
@@ -224,7 +224,7 @@ def test_a_switch_that_prefers_collisions_is_overruled(planner, planned):
 
 
 def test_the_joint_agent_alone_goes_from_key_pose_to_key_pose(cell, planner, planned):
-    result = plan_motion(joint_agent_only(planner), planned[0], key=jax.random.key(1))
+    result = plan_directly(joint_agent_only(planner), [planned[0]], key=jax.random.key(1))[0]
     assert result.status is Status.OK, result.detail
     assert not result.skills
     assert len(result.phases) == 3 and result.drl_share == 1.0

@@ -5,7 +5,7 @@ What a part is worth shows by what is lost without it. Everything else stays: co
 routes that are tried, smoothing, timing and the check.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,12 +17,16 @@ from hybrid_jax.agents.segments import Segments
 from hybrid_jax.agents.switching import Combined
 from hybrid_jax.errors import InputError, UnknownNameError
 from hybrid_jax.kernels.edges import paths_are_free
+from hybrid_jax.kernels.inputs import single_precision
+from hybrid_jax.keys import split
 from hybrid_jax.planner.bridging import rrt_bridger
 from hybrid_jax.planner.lfd import SkillChooser
 from hybrid_jax.planner.loading import optimal_switcher
-from hybrid_jax.planner.records import Planner
+from hybrid_jax.planner.pipeline import SEARCHED, plan_batch
+from hybrid_jax.planner.records import Planner, PlanResult
 from hybrid_jax.presets import Preset
 from hybrid_jax.rrt import RrtConfig
+from hybrid_jax.skills.task import Task
 from hybrid_jax.types import Workcell
 
 ABLATIONS = {
@@ -54,10 +58,33 @@ def joint_agent_only(planner: Planner) -> Planner:
     """
     if planner.bridge is None:
         raise InputError("the planner has no joint agent")
-    # the corners at key poses must stay
-    smoothing = replace(planner.config.smoothing, widths=(planner.config.smoothing.kept, 0.0))
-    config = replace(planner.config, direct=True, fallback=None, smoothing=smoothing)
+    config = replace(planner.config, direct=True, fallback=None)
     return replace(planner, switch=rule_switcher, config=config)
+
+
+@single_precision
+def plan_directly(planner: Planner, tasks: Sequence[Task], *, key: Array) -> list[PlanResult]:
+    """`plan_batch` for the joint agent alone.
+
+    Its corners are rounded as widely as the hybrid's. Where nothing comes of that they are rounded
+    narrowly: the key poses on the way must be passed, and no skill keeps the path near them.
+
+    Args:
+        planner: from `joint_agent_only`.
+        tasks: what is to be done.
+        key: consumed.
+    """
+    key_wide, key_narrow = split(key, 2)
+    found = plan_batch(planner, tasks, key=key_wide)
+    left = [i for i, result in enumerate(found) if result.status in SEARCHED]
+    if left:
+        kept = planner.config.smoothing.kept
+        smoothing = replace(planner.config.smoothing, widths=(kept, 0.0))
+        narrow = replace(planner, config=replace(planner.config, smoothing=smoothing))
+        again = plan_batch(narrow, [tasks[i] for i in left], key=key_narrow)
+        for i, result in zip(left, again, strict=True):
+            found[i] = result
+    return found
 
 
 def straight_bridger(cell: Workcell) -> Bridger:

@@ -8,7 +8,13 @@ from dataclasses import dataclass
 import jax
 
 from hybrid_jax.errors import RunFolderError, UnknownNameError
-from hybrid_jax.planner.ablations import ABLATIONS, ablated, joint_agent_only, lfd_only
+from hybrid_jax.planner.ablations import (
+    ABLATIONS,
+    ablated,
+    joint_agent_only,
+    lfd_only,
+    plan_directly,
+)
 from hybrid_jax.planner.loading import load_learned_chooser, load_planner
 from hybrid_jax.planner.pipeline import plan_batch
 from hybrid_jax.planner.records import Planner, PlanResult
@@ -100,7 +106,7 @@ def contestant(name: str, run: Run, paper: Run | None) -> Contestant | None:
     if name == "ompl":
         return _ompl(planner)
     if name == "drl":
-        return Contestant(name, joint_agent_only(whole_space_agent(run, planner)), plan_batch)
+        return Contestant(name, joint_agent_only(whole_space_agent(run, planner)), plan_directly)
     if name == "lfd":
         return Contestant(name, lfd_only(planner), plan_batch)
     if name == "lfd_executed":  # once, as nothing else would come of it again
