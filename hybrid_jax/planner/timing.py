@@ -31,8 +31,7 @@ WHOLE = 1e-3
 RAMP = 0.04
 """Time over which the speed along a path is averaged [s]: accelerations do not jump."""
 WIDER = 0.08, 0.16, 0.32
-"""The same, further ones where the jerk is limited: the one that gives the shortest motion is
-used."""
+"""Further ones where the jerk is limited; that of the shortest motion is used."""
 ROUNDS = 4
 """Times that a motion is slowed where it exceeds a limit; what is left slows the whole of it."""
 RESTING = 1e-5
@@ -195,16 +194,12 @@ def is_resting(q: np.ndarray) -> bool:
 
 
 def resting(cell: Workcell, start: np.ndarray, end: np.ndarray, source: int) -> Trajectory:
-    """A trajectory where there is nothing to do: at rest, the two configurations being one.
-
-    A controller interpolates between them all the same, and keeps the limits of acceleration.
-    """
+    """A trajectory at rest, both ends being one; a cubic (6 way / time^2) keeps the limits."""
     still, way = np.zeros((2, len(start))), np.abs(np.asarray(end, float) - start)
-    # a cubic from rest to rest asks for six times the way over the square of the time
-    least = np.sqrt(np.max(6 * way / np.asarray(cell.chain.acceleration_limits, float)))
-    times = np.array([0.0, WHOLE * max(1.0, np.ceil(least / WHOLE))])
-    sources = np.full(2, source, np.uint8)
-    return Trajectory(times, np.stack([start, end]).astype(float), still, still.copy(), sources)
+    least = np.sqrt(np.max(6 * way / np.asarray(cell.chain.acceleration_limits))) / WHOLE
+    times = np.array([0.0, WHOLE * max(1.0, np.ceil(least))])
+    ends = np.stack([start, end]).astype(float)
+    return Trajectory(times, ends, still, still.copy(), np.full(2, source, np.uint8))
 
 
 def _reach(cell: Workcell) -> np.ndarray:
