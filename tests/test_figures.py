@@ -13,6 +13,8 @@ import jax
 import numpy as np
 import pytest
 
+from hybrid_jax import provenance
+
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 figures = pytest.importorskip("benchmarks.figures")
@@ -100,6 +102,26 @@ def test_templates_are_filled_and_unknown_figures_refused():
     twice = results | {"b": results["a"]}
     with pytest.raises(KeyError, match="another file"):
         figures.rendered(text, twice)
+
+
+def test_no_path_of_a_machine_stands_in_a_command(tmp_path, monkeypatch):
+    arguments = ["x", "--run=/home/x/runs/a", "/home/x/b.json", "--json", "docs/figures/c.json"]
+    monkeypatch.setattr(sys, "argv", arguments)
+    provenance.write_figures(tmp_path / "a.json", [], {"range": range(3, 5)})
+    written = json.loads((tmp_path / "a.json").read_text())
+    assert written["command"].endswith(" --run=a b.json --json docs/figures/c.json")
+    assert written["seeds"] == {"range": [3, 5]} and written["commit"]
+
+
+def test_a_package_that_no_repository_has_as_its_own_has_no_commit(tmp_path, monkeypatch):
+    """Installed inside somebody's repository."""
+    installed = tmp_path / "venv" / "provenance.py"
+    installed.parent.mkdir()
+    installed.write_text("")
+    subprocess.run(["git", "init", "-q", str(tmp_path)], check=True)
+    monkeypatch.setattr(provenance, "ROOT", installed.parent)
+    monkeypatch.setattr(provenance, "__file__", str(installed))
+    assert provenance.commit() == "unknown"
 
 
 def test_collected_problems_are_taken_from_their_file(cell, tmp_path, monkeypatch):

@@ -115,7 +115,8 @@ def test_a_run_keeps_the_tool_that_was_named(tmp_path):
     (tmp_path / "arm.urdf").write_text(ARM + link("jaw") + joint("k", "wrist", "jaw") + "</robot>")
     run = create_run(str(tmp_path / "arm.urdf"), "smoke", 0, tmp_path / "run", tool="wrist")
     assert tool_body(run.cell) == "wrist"
-    assert tool_body(open_run(tmp_path / "run").cell) == "wrist"
+    opened = open_run(tmp_path / "run")
+    assert tool_body(opened.cell) == "wrist" and opened.tool == run.tool == "wrist"
 
 
 def test_endings_in_any_case_and_files_of_other_kinds(tmp_path):

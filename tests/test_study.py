@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from hybrid_jax import evaluate, film
+from hybrid_jax import evaluate, film, runfolder
 from hybrid_jax.errors import InputError, RunFolderError, UnknownNameError
 from hybrid_jax.planner.ablations import ABLATIONS, ablated, straight_bridger
 from hybrid_jax.presets import PRESETS
@@ -261,6 +261,18 @@ def test_a_study_states_the_seeds_that_it_draws(cell):
     assert inspection.drawn(fpi, first + 1, 1) == range(first + parts, first + 2 * parts)
     with pytest.raises(InputError, match="ask for fewer runs"):
         inspection.drawn(fpi, first, 10_001)
+
+
+def test_an_ablation_that_is_none_is_refused(planner):
+    with pytest.raises(UnknownNameError, match="dqn"):
+        ablated("dqm", planner, PRESETS["smoke"], lambda: None)
+
+
+def test_a_study_without_methods_is_refused(cell, tmp_path, monkeypatch):
+    monkeypatch.setattr(contestants, "contestant", lambda *_: None)
+    monkeypatch.setattr(runfolder, "open_run", lambda _: Run(tmp_path, cell, "smoke", 0))
+    with pytest.raises(InputError, match="nothing is left to compare: ompl"):
+        evaluate.main(tmp_path, tmp_path / "a.json", methods=("ompl",))
 
 
 def test_two_studies_do_not_share_a_file(tmp_path):

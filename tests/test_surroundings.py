@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hybrid_jax import compilecache, devices, inputfiles, terminal
+from hybrid_jax import artifacts, compilecache, devices, inputfiles, terminal
 from hybrid_jax.artifacts import write_text
 from hybrid_jax.errors import (
     DemonstrationError,
@@ -223,3 +223,15 @@ def test_a_platform_that_is_not_there_is_said_in_a_sentence():
     assert done.returncode == terminal.BAD_INPUT
     assert "error: JAX has no device of the platforms 'cuda'" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_a_file_system_without_hard_links_holds_runs(tmp_path, monkeypatch):
+    def refuse(*_):
+        raise PermissionError("no links here")
+
+    monkeypatch.setattr(os, "link", refuse)
+    artifacts.write_new(tmp_path / "config.json", "{}")
+    with pytest.raises(FileExistsError):
+        artifacts.write_new(tmp_path / "config.json", "[]")
+    assert [path.name for path in tmp_path.iterdir()] == ["config.json"]
+    assert (tmp_path / "config.json").read_text() == "{}"

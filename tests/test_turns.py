@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from hybrid_jax.planner import timing
 from hybrid_jax.planner.joints import plan_joint_motion
 from hybrid_jax.planner.pipeline import plan_motion
 from hybrid_jax.planner.records import PlanResult
@@ -81,6 +82,15 @@ def test_the_nearest_reading_of_a_goal(turning):
     start, goal = np.array([0, 7.0, 7.0]), np.array([0, 0.9, 0.9])
     np.testing.assert_allclose(nearest_goal(turning, start, goal), [0, 0.9 + 2 * np.pi, 0.9])
     np.testing.assert_allclose(turns_from(turning, start, goal), [0, 2 * np.pi, 2 * np.pi])
+
+
+def test_a_rest_keeps_the_limits_of_acceleration(turning):
+    """A cubic from rest to rest, over all its time."""
+    limits, start = np.asarray(turning.chain.acceleration_limits), np.zeros(3)
+    end = np.array([9e-6, -9e-6, 0])
+    rest = timing.resting(turning, start, end, 0)
+    assert (6 * np.abs(end) / rest.times[-1] ** 2 <= limits).all()
+    assert timing.resting(turning, start, start, 0).times[-1] == 1e-3
 
 
 @pytest.mark.parametrize("away", [0.0, 1e-9, 1e-7, 1e-5, 3e-5, 1e-4])
