@@ -62,7 +62,8 @@ def main(
     if video:
         return film_runs(study, opened, contestants[:2], first, video)
     study.drawn(opened.cell, first, runs)
-    metrics = run_study(study, opened, contestants, range(first, first + runs), out, quiet)
+    seeds = range(first, first + runs)
+    metrics = run_study(study, opened, contestants, seeds, out, quiet, papers)
     if figures:
         from hybrid_jax.provenance import write_figures  # noqa: PLC0415
 
@@ -71,7 +72,9 @@ def main(
     return 0
 
 
-def run_study(study, opened, contestants, seeds: range, out: Path, quiet: bool) -> list[dict]:
+def run_study(
+    study, opened, contestants, seeds: range, out: Path, quiet: bool, papers=None
+) -> list[dict]:
     """All methods, one after the other, in blocks of runs; what is done is kept after each.
 
     One that was killed goes on with the runs that it lacks.
@@ -82,6 +85,7 @@ def run_study(study, opened, contestants, seeds: range, out: Path, quiet: bool) 
 
     about = {
         "run": str(opened.folder.resolve()), "cell": opened.cell.source.digest,
+        "paper": str(papers.folder.resolve()) if papers else None,
         "first": seeds.start, "runs": len(seeds), "commit": commit(),
     }  # fmt: skip
     journal = Journal(out.with_suffix(".progress"), about)

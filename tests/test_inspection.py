@@ -250,12 +250,31 @@ def test_the_study_adds_up(tmp_path):
     assert found["inspection.brush_angle_rms"]["value"] == pytest.approx(1.0)
     assert found["inspection.stand_off_rms"]["value"] == pytest.approx(1.0)
 
+    tilted = [row | {"brush_angle_rms_deg": 3.0} if row["part"] == "p1" else row for row in rows]
+    found = {m["key"]: m for m in study.summarize(tilted, {"hybrid": 10.0})}
+    assert found["inspection.brush_angle_best_part"]["value"] == pytest.approx(1.0)
+    assert found["inspection.brush_angle_worst_part"]["value"] == pytest.approx(3.0)
+    assert "of p1;" in found["inspection.brush_angle_worst_part"]["note"]
+
     assert steady_from([1, 2, 3, 4, 5], [0.0, 9.0, 10.2, 9.9, 10.0], 0.05) == 3
     assert steady_from([1, 2], [1.0, 1.0], 0.05) == 1
 
     class Blank:
         def metrics(self, stage):
             return [{"step": 1, "cost_over_optimum": 1.0, "success": 0.5, "episodes": 3.0}]
+
+    class Trained:
+        def metrics(self, stage):
+            return {
+                "map": [{"step": 1000, "feasible": 0.25}],
+                "lfd": [{"step": 7, "cost_over_optimum": 1.0}] * 6,
+            }.get(stage, [{"step": 1, "return": 2.0, "success": 0.5, "episodes": 3.0}] * 6)
+
+    found = {m["key"]: m["value"] for m in study.learning(Trained())}
+    assert found["inspection.map_feasible"] == 0.25
+    assert found["inspection.lfd_steady_episodes"] == 7
+    assert found["inspection.drl_steady_episodes"] == 15
+    assert found["inspection.drl_training_success"] == 0.5
 
     draw_study(tmp_path / "study.png", rows, Blank())
     assert (tmp_path / "study.png").stat().st_size > 10_000

@@ -229,6 +229,8 @@ def test_a_study_that_was_stopped_goes_on_with_what_it_lacks(cell, tmp_path, mon
     seeds = range(7, 10)
     with pytest.raises(KeyboardInterrupt):
         evaluate.run_study(study, run, some, seeds, out, True)
+    with pytest.raises(RunFolderError, match="other"):
+        evaluate.run_study(study, run, some, seeds, out, True, Run(tmp_path / "other", cell, "", 0))
     evaluate.run_study(study, run, some, seeds, out, True)
     blocks = [[7, 8], [9]]
     again = [(name, block) for name in ("hybrid", "lfd") for block in blocks]

@@ -133,14 +133,27 @@ def _add_strokes(metrics: Metrics, name: str, own: list[dict]) -> None:
         each = np.array([row[f"{key}_rms_{unit}"] for row in done])
         worst = max(row[f"{key}_max_{unit}"] for row in done)
         note = f"{len(done)} strokes; worst stroke {each.max():.2f}, worst point {worst:.2f}"
-        metrics.add(f"{name}{key}_rms", float(np.sqrt(np.mean(each**2))), unit, "lower", note)
+        metrics.add(f"{name}{key}_rms", _rms(each), unit, "lower", note)
+        parts = {part: _rms([row[f"{key}_rms_{unit}"] for row in done if row["part"] == part])
+                 for part in sorted({row["part"] for row in done})}  # fmt: skip
+        for which, pick in (("best", min), ("worst", max)):
+            part = pick(parts, key=parts.__getitem__)
+            note = f"RMS of the strokes of {part}; {which} of {len(parts)} parts"
+            metrics.add(f"{name}{key}_{which}_part", parts[part], unit, "lower", note)
     cycle = float(np.median([row["cycle_s"] for row in done]))
     metrics.add(f"{name}cycle_time", cycle, "s", "lower", "median of trials that were carried out")
 
 
+def _rms(values) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
 def learning(run: Run) -> list[dict]:
-    """After how many episodes each agent's policy was steady."""
+    """What the trainings came to: the map, and after how many episodes each agent was steady."""
     metrics = Metrics("inspection")
+    for row in run.metrics("map")[-1:]:
+        note = f"of {row['step']:,} tool poses of the map"
+        metrics.add("map_feasible", row["feasible"], "1", "higher", note)
     curves = {
         "lfd": ("lfd", "cost_over_optimum", "cost of its plans of unseen tasks"),
         "drl_feasibility": ("drl", "return", "return"),
@@ -156,6 +169,10 @@ def learning(run: Run) -> list[dict]:
         steady = steady_from(at[MEAN_OF - 1 :], values, STEADY)
         note = f"{text} stays within {STEADY:.0%} of where it ends, of {at[-1]:,.0f} episodes"
         metrics.add(f"{name}_steady_episodes", steady, "1", "lower", note)
+        ends = [row["success"] for row in rows if "success" in row][-MEAN_OF:]
+        if ends:
+            note = f"share of the training episodes that end well, last {len(ends)} updates"
+            metrics.add(f"{name}_training_success", float(np.mean(ends)), "1", "higher", note)
     return metrics.rows
 
 
