@@ -106,3 +106,11 @@ def test_what_keeps_no_margin_is_not_smoothed():
 def test_few_points_of_an_edge_are_enough_to_ask_for(paths, fine):
     config = SmoothingConfig(fine=fine)
     assert len(shortcut_paths(clearances, paths, MARGIN, config)) == len(paths)
+
+
+@pytest.mark.parametrize("margin", [0.002, 0.005, 0.01, 0.02, 0.04])
+def test_every_margin_can_be_kept(margin):
+    """Single precision rounds some margins down, and clearances end at the margin."""
+    far = np.array([[3.0, 0.0], [4.0, 0.5], [4.0, 1.5]])
+    config = SmoothingConfig(margin=margin)
+    assert smooth_paths(clearances, [(far, np.zeros(3, np.uint8))], config)[0] is not None

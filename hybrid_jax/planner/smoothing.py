@@ -153,9 +153,11 @@ def _filtered(q: np.ndarray, width: float) -> np.ndarray:
 
 def _required(gap: np.ndarray, config: SmoothingConfig) -> np.ndarray:
     """Clearance to keep at each point `[point]`: beside an end that has less, what it has [m]."""
-    margin, point = np.full(len(gap), config.margin), np.arange(len(gap))
+    # clearances end at the margin as float32: it may be less than the margin itself
+    most, point = np.float32(config.margin), np.arange(len(gap))
+    margin = np.full(len(gap), most, np.float32)
     for end, away in ((gap[0], point), (gap[-1], point[::-1])):
-        margin[away < config.beside] = min(config.margin, 0.9 * max(end, 0.0))
+        margin[away < config.beside] = min(most, 0.9 * max(end, 0.0))
     return margin
 
 
