@@ -55,17 +55,11 @@ def unbacked(text: str) -> list[str]:
     return found
 
 
-NOT_YET = {"measurements.md"}
-"""Pages with figures of results that are still to be measured anew."""
 
 
 @pytest.mark.parametrize("page", figures.pages(), ids=lambda page: page.name)
 def test_every_figure_of_a_document_is_backed_by_a_result(page):
-    lines = unbacked(page.read_text())
-    if page.name in NOT_YET:
-        assert lines, "all figures are backed: the page leaves NOT_YET"
-    else:
-        assert not lines
+    assert not unbacked(page.read_text())
 
 
 def test_figures_that_no_result_backs_are_found():
