@@ -8,9 +8,13 @@ from collections.abc import Iterator
 from selenium import webdriver
 
 FLAGS = (
-    "--headless=new", "--no-sandbox", "--window-size=1300,840", "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader", "--disable-dev-shm-usage",
-)  # fmt: skip
+    "--headless=new",
+    "--no-sandbox",
+    "--window-size=1300,840",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-dev-shm-usage",
+)
 
 
 @contextlib.contextmanager

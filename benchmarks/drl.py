@@ -19,9 +19,9 @@ from benchmarks import drl_ablation, drl_default, drl_problems, drl_study
 from benchmarks.drl_trainings import Curve
 from benchmarks.report import interval, metric, race, write
 from hybrid_jax.agents import joint
-from hybrid_jax.agents.programs import make_programs
-from hybrid_jax.agents.segments import Segments, take
-from hybrid_jax.presets import DEFAULT, PAPER
+from hybrid_jax.agents.trainers import make_programs
+from hybrid_jax.contracts import Segments, take
+from hybrid_jax.runs.presets import DEFAULT, PAPER
 from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.load import load_workcell
 
@@ -31,7 +31,7 @@ matplotlib.use("Agg")
 def rival(cell: Workcell, segments: Segments):
     """The paper's stack, or None where it is not installed."""
     try:
-        from benchmarks.drl_rival import Rival  # noqa: PLC0415
+        from benchmarks.drl_rival import Rival
     except ImportError as error:
         print(f"{error.name} is not installed: ratios left out (pip install 'hybrid_jax[bench]')")
         return None
@@ -43,8 +43,8 @@ def speed(cell: Workcell, segments: Segments, rounds: int) -> list[dict]:
     runs, rows = {}, []
     for name, preset in (("paper", PAPER), ("default", DEFAULT)):
         config = preset.joint
-        world, net = joint.make_world(cell, segments, config), joint.make_net(cell, config)
-        programs = make_programs(world, net, config.training)
+        env, net = joint.make_env(cell, segments, config), joint.make_net(cell, config)
+        programs = make_programs(env, net, config.training)
         state = [programs.start((0,))]
 
         def advance(programs=programs, state=state):
@@ -58,23 +58,46 @@ def speed(cell: Workcell, segments: Segments, rounds: int) -> list[dict]:
         runs["sb3"] = (other.train, other.rollout)
     best = race(runs, rounds)
     for name in ("paper", "default"):
-        rows.append(metric(f"drl.train_{name}_steps_per_second", best[name], "1/s", "higher",
-                           "environment steps with learning, one seed"))  # fmt: skip
+        rows.append(
+            metric(
+                f"drl.train_{name}_steps_per_second",
+                best[name],
+                "1/s",
+                "higher",
+                "environment steps with learning, one seed",
+            )
+        )
     if other:
         note = "Stable-Baselines3 + PyBullet, the paper's sizes"
         rows.append(metric("drl.sb3_steps_per_second", best["sb3"], "1/s", "higher", note))
-        rows.append(metric("drl.sb3_env_steps_per_second", other.world_steps_per_second(), "1/s",
-                           "higher", "PyBullet's world alone"))  # fmt: skip
-        for name, note in (("paper", "the same world and sizes"),
-                           ("default", "the rival as before, ours in its own world and sizes")):
-            rows.append(metric(f"drl.train_{name}_vs_sb3", best[name] / best["sb3"], "1", "higher",
-                               f"environment steps/s with learning, in turns; {note}"))  # fmt: skip
+        rows.append(
+            metric(
+                "drl.sb3_env_steps_per_second",
+                other.world_steps_per_second(),
+                "1/s",
+                "higher",
+                "PyBullet's environment alone",
+            )
+        )
+        for name, note in (
+            ("paper", "the same environment and sizes"),
+            ("default", "the rival as before, ours in its own environment and sizes"),
+        ):
+            rows.append(
+                metric(
+                    f"drl.train_{name}_vs_sb3",
+                    best[name] / best["sb3"],
+                    "1",
+                    "higher",
+                    f"environment steps/s with learning, in turns; {note}",
+                )
+            )
     return rows
 
 
 def draw(path: Path, paper: dict[str, Curve], default: Curve) -> None:
     """Total reward and success against steps: means over seeds and their 95 % intervals."""
-    import matplotlib.pyplot as plt  # noqa: PLC0415
+    import matplotlib.pyplot as plt
 
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
     limit = next(iter(paper.values())).steps[-1]
@@ -83,8 +106,10 @@ def draw(path: Path, paper: dict[str, Curve], default: Curve) -> None:
         if rows == "success":
             named.append(("DRL-Feasibility, preset default", default))
         for name, curve in named:
-            found = [interval(v[np.isfinite(v)]) if np.isfinite(v).any() else (np.nan, np.nan)
-                     for v in getattr(curve, rows)]  # fmt: skip
+            found = [
+                interval(v[np.isfinite(v)]) if np.isfinite(v).any() else (np.nan, np.nan)
+                for v in getattr(curve, rows)
+            ]
             mean, half = np.array(found).T
             steps = np.array(curve.steps)
             inside = steps <= limit
@@ -125,7 +150,7 @@ def main(
         parts: which to run.
         steps: of each training of preset paper, and of half of preset default's.
         seeds: trainings of each agent.
-        ablation_seeds: trainings of each variant of the world.
+        ablation_seeds: trainings of each variant of the environment.
         test: held-out segments, 500 at most.
         tiny: as little of everything as shows that it runs.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What the joint agent's world owes to each idea: others are put in its place, the rest is kept.
+"""What the joint agent's environment owes to each idea: one is replaced, the rest is kept.
 
 - `plain`: the action is the whole joint step, as is usual, and not a correction of a straight one.
 - `expert`: episodes start anywhere along a path of RRT-Connect, which covers every curriculum that
@@ -25,13 +25,13 @@ from benchmarks.drl_default import share
 from benchmarks.drl_problems import Problems, rrt_paths
 from hybrid_jax.agents import joint
 from hybrid_jax.agents.joint import JointAgentConfig
-from hybrid_jax.agents.programs import make_programs
-from hybrid_jax.agents.segments import Segments, take
+from hybrid_jax.agents.trainers import make_programs
+from hybrid_jax.contracts import Segments, take
+from hybrid_jax.envs.reach import ReachConfig, ReachEnv
 from hybrid_jax.feasibility.building import FeasibilityMap, build_feasibility_map
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.kinematics import tool_pose
-from hybrid_jax.presets import DEFAULT
-from hybrid_jax.simulation.reach import ReachConfig, ReachWorld
+from hybrid_jax.runs.presets import DEFAULT
 from hybrid_jax.types import Workcell
 
 CONFIG = DEFAULT.joint
@@ -45,7 +45,7 @@ BEYOND = 2.0
 """Geodesic distance of voxels that are not connected to the goal's [m]."""
 
 
-class PlainWorld(ReachWorld):
+class PlainEnv(ReachEnv):
     """The action is the joint step."""
 
     def target(self, state, action):
@@ -54,14 +54,14 @@ class PlainWorld(ReachWorld):
         return jnp.clip(state.q + move, low, high)
 
 
-class ExpertWorld(ReachWorld):
+class ExpertEnv(ReachEnv):
     """Starts and potential along an expert's paths `[segment, POINTS, joint]`."""
 
     def __init__(self, cell: Workcell, segments: Segments, config: ReachConfig, paths: Array):
         self.paths = paths
         super().__init__(cell, segments, config)
 
-    def begin(self, key):
+    def reset(self, key):
         key_segment, key_point = jax.random.split(key)
         segment = jax.random.randint(key_segment, (), 0, self.paths.shape[0], jnp.int32)
         point = jax.random.randint(key_point, (), 0, POINTS - 1)
@@ -74,11 +74,11 @@ class ExpertWorld(ReachWorld):
         return -jnp.min(jnp.linalg.norm(path - q, axis=1) + to_go)
 
 
-class PlainExpertWorld(ExpertWorld, PlainWorld):
+class PlainExpertEnv(ExpertEnv, PlainEnv):
     """Both."""
 
 
-class GeodesicWorld(ReachWorld):
+class GeodesicEnv(ReachEnv):
     """The potential counts the tool's way through feasible voxels."""
 
     def __init__(self, cell: Workcell, segments: Segments, config: ReachConfig, fmap):
@@ -101,7 +101,7 @@ class GeodesicWorld(ReachWorld):
         return -VOXEL_WORTH * value - JOINT_WORTH * to_go
 
 
-class PlainGeodesicWorld(GeodesicWorld, PlainWorld):
+class PlainGeodesicEnv(GeodesicEnv, PlainEnv):
     """Both."""
 
 
@@ -143,23 +143,23 @@ def even(path: np.ndarray) -> np.ndarray:
     return np.stack([np.interp(at, ways, column) for column in path.T], axis=1).astype(np.float32)
 
 
-def variants(cell: Workcell, problems: Problems) -> dict[str, Callable[[], ReachWorld]]:
+def variants(cell: Workcell, problems: Problems) -> dict[str, Callable[[], ReachEnv]]:
     """Worlds to train in, by name."""
     rules, training = CONFIG.reach, problems.training
     solved, paths = expert_paths(cell, training)
     fmap = build_feasibility_map(cell, DEFAULT.map)
     return {
-        "everywhere": lambda: ReachWorld(cell, problems.everywhere, rules),
-        "expert": lambda: ExpertWorld(cell, solved, rules, paths),
-        "geodesic": lambda: GeodesicWorld(cell, training, rules, fmap),
-        "plain": lambda: PlainWorld(cell, training, rules),
-        "plain_expert": lambda: PlainExpertWorld(cell, solved, rules, paths),
-        "plain_geodesic": lambda: PlainGeodesicWorld(cell, training, rules, fmap),
+        "everywhere": lambda: ReachEnv(cell, problems.everywhere, rules),
+        "expert": lambda: ExpertEnv(cell, solved, rules, paths),
+        "geodesic": lambda: GeodesicEnv(cell, training, rules, fmap),
+        "plain": lambda: PlainEnv(cell, training, rules),
+        "plain_expert": lambda: PlainExpertEnv(cell, solved, rules, paths),
+        "plain_geodesic": lambda: PlainGeodesicEnv(cell, training, rules, fmap),
     }
 
 
 def success(
-    cell: Workcell, net, policies, kind: type[ReachWorld], config: JointAgentConfig, test: Segments
+    cell: Workcell, net, policies, kind: type[ReachEnv], config: JointAgentConfig, test: Segments
 ) -> tuple[list[float], list[float]]:
     """Shares of the held-out segments that reach the goal: by the mode, by the best of 16."""
     count = test.start.shape[0]
@@ -167,10 +167,10 @@ def success(
 
     @jax.jit
     def run(policy):
-        world = ReachWorld(cell, test, config.reach)
-        if issubclass(kind, PlainWorld):  # what the action means matters, the reward does not
-            world = PlainWorld(cell, test, config.reach)
-        return joint.rollouts(world, net, policy, index, spread, jax.random.key(0))[1]
+        env = ReachEnv(cell, test, config.reach)
+        if issubclass(kind, PlainEnv):  # what the action means matters, the reward does not
+            env = PlainEnv(cell, test, config.reach)
+        return joint.rollouts(env, net, policy, index, spread, jax.random.key(0))[1]
 
     tables = [np.asarray(run(policy)).reshape(16, count) for policy in policies]
     return [float(t[0].mean()) for t in tables], [float(t.any(axis=0).mean()) for t in tables]
@@ -181,21 +181,21 @@ def figures(
 ) -> list[dict]:
     """Success of each variant, or of `FEW`, on the held-out segments."""
     training, rows = replace(CONFIG.training, steps=steps), []
-    worlds = {"corrected": lambda: ReachWorld(cell, problems.training, CONFIG.reach)}
-    worlds |= variants(cell, problems)
-    for name in FEW if few else worlds:
-        make = worlds[name]
-        world, net, policies = make(), joint.make_net(cell, CONFIG), []
-        programs = make_programs(world, net, training)
+    environments = {"corrected": lambda: ReachEnv(cell, problems.training, CONFIG.reach)}
+    environments |= variants(cell, problems)
+    for name in FEW if few else environments:
+        make = environments[name]
+        env, net, policies = make(), joint.make_net(cell, CONFIG), []
+        programs = make_programs(env, net, training)
         for seed in seeds:
             start = programs.start((seed,))
             end, _ = drl_trainings.advance(programs, start, training.iterations)
             policies.append(end.policy())
-        one, many = success(cell, net, policies, type(world), CONFIG, problems.held_out)
+        one, many = success(cell, net, policies, type(env), CONFIG, problems.held_out)
         note = f"{steps:,} steps; as the training's checks say, not proven"
-        rows += [share(f"ablation_{name}_1", one, f"one rollout, {note}"),
-                 share(f"ablation_{name}_16", many, f"best of 16, {note}")]  # fmt: skip
+        rows += [
+            share(f"ablation_{name}_1", one, f"one rollout, {note}"),
+            share(f"ablation_{name}_16", many, f"best of 16, {note}"),
+        ]
         print(f"ablation: {name} {np.mean(one):.3f} {np.mean(many):.3f}", flush=True)
     return rows
-
-

@@ -17,13 +17,14 @@ from jax.sharding import Mesh, PartitionSpec
 from benchmarks import drl_trainings
 from benchmarks.drl_problems import Problems
 from benchmarks.report import interval, metric, rate
-from hybrid_jax.agents import joint, worlds
+from hybrid_jax.agents import joint
 from hybrid_jax.agents.joint import JointAgentConfig
-from hybrid_jax.agents.programs import make_programs
-from hybrid_jax.agents.segments import Segments, take
-from hybrid_jax.devices import vector_options
-from hybrid_jax.presets import DEFAULT
-from hybrid_jax.simulation.reach import ReachWorld
+from hybrid_jax.agents.trainers import make_programs
+from hybrid_jax.contracts import Segments, take
+from hybrid_jax.envs import base
+from hybrid_jax.envs.reach import ReachEnv
+from hybrid_jax.runs.presets import DEFAULT
+from hybrid_jax.runtime.devices import vector_options
 from hybrid_jax.types import Workcell
 
 CONFIG = DEFAULT.joint
@@ -59,8 +60,8 @@ def rollout_seconds(cell: Workcell, net, policy, segments: Segments, enough: int
 
     @jax.jit
     def run(policy, one, key):
-        world = joint.planning_world(cell, one, CONFIG)
-        return joint.rollouts(world, net, policy, index, spread, key, enough)
+        env = joint.planning_env(cell, one, CONFIG)
+        return joint.rollouts(env, net, policy, index, spread, key, enough)
 
     seconds = []
     for i in range(-1, min(TIMED, segments.start.shape[0])):
@@ -71,26 +72,27 @@ def rollout_seconds(cell: Workcell, net, policy, segments: Segments, enough: int
     return np.array(seconds[1:])  # the first one compiles
 
 
-def environment_rate(world: ReachWorld) -> float:
+def environment_rate(env: ReachEnv) -> float:
     """Steps per second without learning: random actions, every device."""
     devices, config = jax.local_devices(), CONFIG.training
     mesh, split = Mesh(np.array(devices), ("copies",)), PartitionSpec("copies")
 
     def run(keys):
         def choose(obs, key):
-            shape = (obs.shape[0], world.action_size)
+            shape = (obs.shape[0], env.action_size)
             return jax.random.uniform(key, shape, minval=-1, maxval=1), {}
 
         key_start, key = jax.random.split(keys[0])
-        copies = worlds.start_copies(world, key_start, config.envs // len(devices))
-        copies, _ = worlds.rollout(world, choose, copies, key, world.config.horizon)
+        copies = base.start_copies(env, key_start, config.envs // len(devices))
+        copies, _ = base.rollout(env, choose, copies, key, env.config.horizon)
         return copies.obs
 
     spread = jax.shard_map(run, mesh=mesh, in_specs=split, out_specs=split, check_vma=False)
-    compiled, keys = jax.jit(spread, compiler_options=vector_options()), jax.random.split(
-        jax.random.key(0), len(devices)
-    )  # fmt: skip
-    steps = config.envs // len(devices) * len(devices) * world.config.horizon
+    compiled, keys = (
+        jax.jit(spread, compiler_options=vector_options()),
+        jax.random.split(jax.random.key(0), len(devices)),
+    )
+    steps = config.envs // len(devices) * len(devices) * env.config.horizon
     return max(rate(lambda: compiled(keys), steps, 2.0)[0] for _ in range(3))
 
 
@@ -100,8 +102,8 @@ def train(cell: Workcell, segments: Segments, seeds: tuple[int, ...], config: Jo
     The first training's time holds its compiling; nothing is cached between runs.
     """
     began = time.perf_counter()
-    world, net = joint.make_world(cell, segments, config), joint.make_net(cell, config)
-    programs = make_programs(world, net, config.training)
+    env, net = joint.make_env(cell, segments, config), joint.make_net(cell, config)
+    programs = make_programs(env, net, config.training)
     half, ends, halves, curves, seconds = config.training.iterations // 2, [], [], [], []
     for seed in seeds:
         middle, first = drl_trainings.advance(programs, programs.start((seed,)), half)
@@ -126,10 +128,13 @@ def share(name: str, values, note: str) -> dict:
 def merged(curves) -> drl_trainings.Curve:
     """One curve with a column for each seed."""
     whole = [
-        (first.steps + second.steps, first.total_reward + second.total_reward,
-         first.success + second.success)
+        (
+            first.steps + second.steps,
+            first.total_reward + second.total_reward,
+            first.success + second.success,
+        )
         for first, second in curves
-    ]  # fmt: skip
+    ]
     steps, rewards, success = zip(*whole, strict=True)
     join = lambda rows: [np.concatenate(row) for row in zip(*rows, strict=True)]  # noqa: E731
     return drl_trainings.Curve(steps[0], join(rewards), join(success))
@@ -150,23 +155,48 @@ def figures(
     enough = int(64 * CONFIG.enough)
     strict = rollout_seconds(cell, net, ends[0], test, None)
     quick = rollout_seconds(cell, net, ends[0], test, enough)
-    world = joint.make_world(cell, problems.training, config)
+    env = joint.make_env(cell, problems.training, config)
     rows = [
-        metric("drl.train_default_seconds", seconds[0], "s", "lower",
-               f"{2 * steps:,} steps with compiling; each further seed "
-               f"{np.median(seconds[1:] or [np.nan]):.0f} s"),
-        metric("drl.env_steps_per_second", environment_rate(world), "1/s", "higher",
-               "no learning, random actions"),
+        metric(
+            "drl.train_default_seconds",
+            seconds[0],
+            "s",
+            "lower",
+            f"{2 * steps:,} steps with compiling; each further seed "
+            f"{np.median(seconds[1:] or [np.nan]):.0f} s",
+        ),
+        metric(
+            "drl.env_steps_per_second",
+            environment_rate(env),
+            "1/s",
+            "higher",
+            "no learning, random actions",
+        ),
         share("heldout_success_64", [m.mean() for m in many], f"best of 64 rollouts, {tests}"),
         share("heldout_success_1", one, f"one deterministic rollout, {tests}"),
         share(f"heldout_success_1_at_{steps}", early, "after as many steps as preset paper"),
-        metric("drl.rollouts_64_seconds", float(np.median(strict)), "s", "lower",
-               f"every rollout to its end; p95 {np.quantile(strict, 0.95):.4f}"),
-        metric("drl.rollouts_64_seconds_enough", float(np.median(quick)), "s", "lower",
-               f"until {enough} have arrived, as the planner calls it; "
-               f"p95 {np.quantile(quick, 0.95):.4f}"),
-        metric("drl.bridge_seconds", float(np.median(calls)), "s", "lower",
-               f"the whole call: 64 rollouts, ranking, exact check; "
-               f"p95 {np.quantile(calls, 0.95):.4f}"),
-    ]  # fmt: skip
+        metric(
+            "drl.rollouts_64_seconds",
+            float(np.median(strict)),
+            "s",
+            "lower",
+            f"every rollout to its end; p95 {np.quantile(strict, 0.95):.4f}",
+        ),
+        metric(
+            "drl.rollouts_64_seconds_enough",
+            float(np.median(quick)),
+            "s",
+            "lower",
+            f"until {enough} have arrived, as the planner calls it; "
+            f"p95 {np.quantile(quick, 0.95):.4f}",
+        ),
+        metric(
+            "drl.bridge_seconds",
+            float(np.median(calls)),
+            "s",
+            "lower",
+            f"the whole call: 64 rollouts, ranking, exact check; "
+            f"p95 {np.quantile(calls, 0.95):.4f}",
+        ),
+    ]
     return rows, merged(curves)

@@ -12,17 +12,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hybrid_jax import artifacts
-from hybrid_jax.agents.segments import Segments, free_pairs, join, take
+from hybrid_jax.contracts import Segments, take
+from hybrid_jax.envs.segments import free_pairs, join
 from hybrid_jax.errors import RunFolderError
 from hybrid_jax.feasibility.building import build_feasibility_map
-from hybrid_jax.planner.harvest import harvest
+from hybrid_jax.planner.infeasible_segments import harvest
 from hybrid_jax.planner.lfd import optimal_chooser
-from hybrid_jax.planner.loading import read_library
-from hybrid_jax.presets import DEFAULT, SMOKE
-from hybrid_jax.progress import Progress
-from hybrid_jax.rrt import plan_paths
-from hybrid_jax.seeds import BENCHMARK_TRAINING, JOINT_AGENT_TEST
+from hybrid_jax.planner.rrt_connect import plan_paths
+from hybrid_jax.runs.load_planner import read_library
+from hybrid_jax.runs.presets import DEFAULT, SMOKE
+from hybrid_jax.runs.seeds import BENCHMARK_TRAINING, JOINT_AGENT_TEST
+from hybrid_jax.runtime import artifacts
+from hybrid_jax.runtime.progress import Progress
 from hybrid_jax.types import Workcell, pytree
 
 SEEDS = {"BENCHMARK_TRAINING": BENCHMARK_TRAINING, "JOINT_AGENT_TEST": JOINT_AGENT_TEST}
@@ -61,10 +62,16 @@ class Problems:
 def collect(cell: Workcell, scale: float, first: int, count: int) -> Segments:
     """Infeasible segments of `count` random tasks."""
     return harvest(
-        cell, read_library(), optimal_chooser, DEFAULT.planner.skills,
-        DEFAULT.planner.first_look, scale, tasks=range(first, first + count), seed=0,
+        cell,
+        read_library(),
+        optimal_chooser,
+        DEFAULT.planner.skills,
+        DEFAULT.planner.first_look,
+        scale,
+        tasks=range(first, first + count),
+        seed=0,
         progress=Progress("collect", "tasks"),
-    )  # fmt: skip
+    )
 
 
 def rrt_paths(cell: Workcell, segments: Segments, batch: int = 64) -> list[np.ndarray | None]:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""The paper's own stack on the paper's own world: PyBullet and Stable-Baselines3.
+"""The paper's own stack on the paper's own environment: PyBullet and Stable-Baselines3.
 
-The world is `simulation.paperreach` once more: the same cell, observation, action and reward, one
+The environment is `envs.paper_reach` once more: the same cell, observation, action and reward, one
 copy, with the objects where the cell has them. It is kinematic as ours is: joints are set and
 collisions detected, no dynamics. Manipulability comes from PyBullet's Jacobian.
 """
@@ -15,9 +15,9 @@ from stable_baselines3 import PPO
 
 from benchmarks.rivals import Bullet
 from hybrid_jax.agents.ppo import PpoConfig
-from hybrid_jax.agents.segments import Segments
+from hybrid_jax.contracts import Segments
+from hybrid_jax.envs.paper_reach import PaperReachConfig
 from hybrid_jax.kernels.rays import RAY_COUNT, RAY_RANGE, fibonacci_directions
-from hybrid_jax.simulation.paperreach import PaperReachConfig
 from hybrid_jax.types import Workcell
 
 ROBOT = 64
@@ -25,7 +25,7 @@ ROBOT = 64
 
 
 class BulletReach(gymnasium.Env):
-    """`PaperReachWorld` in PyBullet."""
+    """`PaperReachEnv` in PyBullet."""
 
     def __init__(self, cell: Workcell, segments: Segments, config: PaperReachConfig):
         self.engine, self.config = Bullet(cell), config
@@ -68,9 +68,16 @@ class BulletReach(gymnasium.Env):
         )
         lengths = [RAY_RANGE * h[2] for h in hits]
         return np.concatenate(
-            [position.ravel(), angles[:-1].ravel(), linear.ravel(),
-             spin.ravel(), goal[0], angles[-1], lengths]
-        ).astype(np.float32)  # fmt: skip
+            [
+                position.ravel(),
+                angles[:-1].ravel(),
+                linear.ravel(),
+                spin.ravel(),
+                goal[0],
+                angles[-1],
+                lengths,
+            ]
+        ).astype(np.float32)
 
     def reset(self, *, seed=None, options=None):
         self.segment = int(self.drawn.integers(len(self.goals)))
@@ -92,30 +99,38 @@ class BulletReach(gymnasium.Env):
 
 
 class Rival:
-    """Stable-Baselines3's PPO on that world, ready to train further."""
+    """Stable-Baselines3's PPO on that environment, ready to train further."""
 
     def __init__(self, cell: Workcell, segments: Segments, config: PpoConfig):
-        world = BulletReach(cell, segments, PaperReachConfig())
+        env = BulletReach(cell, segments, PaperReachConfig())
         self.rollout = config.steps_per_iteration
         self.agent = PPO(
-            "MlpPolicy", world, n_steps=self.rollout, batch_size=config.minibatch,
-            n_epochs=config.epochs, learning_rate=config.learning_rate, gamma=config.discount,
-            ent_coef=config.entropy, vf_coef=config.value, max_grad_norm=config.max_grad_norm,
-            policy_kwargs={"net_arch": list(config.hidden)}, device="cpu",
-        )  # fmt: skip
+            "MlpPolicy",
+            env,
+            n_steps=self.rollout,
+            batch_size=config.minibatch,
+            n_epochs=config.epochs,
+            learning_rate=config.learning_rate,
+            gamma=config.discount,
+            ent_coef=config.entropy,
+            vf_coef=config.value,
+            max_grad_norm=config.max_grad_norm,
+            policy_kwargs={"net_arch": list(config.hidden)},
+            device="cpu",
+        )
 
     def train(self) -> None:
         """One more rollout and its update."""
         self.agent.learn(self.rollout, reset_num_timesteps=False)
 
     def world_steps_per_second(self, count: int = 1000) -> float:
-        """Of the world alone, with random actions."""
-        world = self.agent.get_env().envs[0].unwrapped
-        world.reset()
-        actions = np.random.default_rng(0).uniform(-1, 1, (count, world.engine.joints))
+        """Of the environment alone, with random actions."""
+        env = self.agent.get_env().envs[0].unwrapped
+        env.reset()
+        actions = np.random.default_rng(0).uniform(-1, 1, (count, env.engine.joints))
         began = time.perf_counter()
         for action in actions:
-            _, _, over, late, _ = world.step(action)
+            _, _, over, late, _ = env.step(action)
             if over or late:
-                world.reset()
+                env.reset()
         return count / (time.perf_counter() - began)

@@ -21,15 +21,16 @@ import numpy as np
 from benchmarks import drl_trainings
 from benchmarks.drl_problems import Problems
 from benchmarks.report import interval, metric
-from hybrid_jax.agents import joint, networks, worlds
+from hybrid_jax.agents import joint, networks
 from hybrid_jax.agents.joint import JointAgentConfig
 from hybrid_jax.agents.sac import SacConfig
-from hybrid_jax.agents.segments import Segments
+from hybrid_jax.contracts import Segments
+from hybrid_jax.envs import base
+from hybrid_jax.envs.paper_reach import PaperReachConfig
 from hybrid_jax.kernels import dualquat as dq
-from hybrid_jax.kernels.edges import edge_is_free
+from hybrid_jax.kernels.collision.motion_validation import edge_is_free
 from hybrid_jax.kernels.kinematics import tool_pose
-from hybrid_jax.presets import PAPER
-from hybrid_jax.simulation.paperreach import PaperReachConfig
+from hybrid_jax.runs.presets import PAPER
 from hybrid_jax.types import Workcell
 
 SAC_SEEDS = 2
@@ -85,21 +86,21 @@ def judge(
 ) -> Callable[[networks.Policy], Outcome]:
     """A function of a policy; it compiles once."""
     count = segments.start.shape[0]
-    world = joint.make_world(cell, segments, config)
+    env = joint.make_env(cell, segments, config)
 
     @jax.jit
     def run(policy):
         def step(carry, _):
             state, over = carry
-            action = networks.act(net, policy, jax.vmap(world.observe)(state), None)
-            move = jax.vmap(world.step)(state, action)
-            state = worlds.choose_states(over, state, move.state)
-            return (state, over | move.terminated), (state.q, over, move.facts["collision"])
+            action = networks.act(net, policy, jax.vmap(env.observe)(state), None)
+            move = jax.vmap(env.step)(state, action)
+            state = base.choose_states(over, state, move.state)
+            return (state, over | move.terminated), (state.q, over, move.info["collision"])
 
-        start = jax.vmap(world.start)(jnp.arange(count), segments.start), jnp.zeros(count, bool)
+        start = jax.vmap(env.start)(jnp.arange(count), segments.start), jnp.zeros(count, bool)
         (state, arrived), rows = jax.lax.scan(step, start, length=config.reach.horizon)
         tool = jax.vmap(tool_pose, (None, 0))(cell, state.q)
-        sine = jnp.linalg.norm(dq.mul(dq.conj(tool), world.goal_pose)[:, 1:4], axis=1)
+        sine = jnp.linalg.norm(dq.mul(dq.conj(tool), env.goal_pose)[:, 1:4], axis=1)
         return arrived, 2 * jnp.arcsin(jnp.clip(sine, 0, 1)), rows
 
     def outcome(policy):
@@ -134,10 +135,10 @@ def train_all(
         name, config = job
         config = replace(config, training=replace(config.training, steps=steps))
         own = seeds[:SAC_SEEDS] if isinstance(config.training, SacConfig) else seeds
-        world, net = joint.make_world(cell, problems.training, config), joint.make_net(cell, config)
+        env, net = joint.make_env(cell, problems.training, config), joint.make_net(cell, config)
         device = devices.get()
         with jax.default_device(device):
-            trained = drl_trainings.run(world, net, config.training, own, [device])
+            trained = drl_trainings.run(env, net, config.training, own, [device])
         devices.put(device)
         print(f"{name}: {len(own)} x {steps:,} steps in {trained.seconds:.0f} s", flush=True)
         return name, trained
@@ -165,6 +166,13 @@ def figures(
             values = [v for v in (getattr(o, what) for o in found) if np.isfinite(v)]
             mean, half = interval(values or [np.nan])
             text += "" if len(values) == len(found) else f" ({len(values)} seeds arrive at all)"
-            rows.append(metric(f"drl.{KEYS[name]}_{what}", mean, unit, better,
-                               f"+- {half:.3f}; {text}; {spread}"))  # fmt: skip
+            rows.append(
+                metric(
+                    f"drl.{KEYS[name]}_{what}",
+                    mean,
+                    unit,
+                    better,
+                    f"+- {half:.3f}; {text}; {spread}",
+                )
+            )
     return rows, {name: trained[name].curve for name in AGENTS}

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from hybrid_jax.agents import networks
-from hybrid_jax.agents.programs import Config, Training, make_programs
+from hybrid_jax.agents.trainers import Config, Training, make_programs
 from hybrid_jax.agents.training import refuse_broken
 
 WINDOW = 40_960
@@ -36,10 +36,10 @@ class Trained:
     """Of all seeds together, compiling included."""
 
 
-def run(world, net, config: Config, seeds: tuple[int, ...], devices=None) -> Trained:
+def run(env, net, config: Config, seeds: tuple[int, ...], devices=None) -> Trained:
     """Train the seeds side by side."""
     began = time.perf_counter()
-    programs = make_programs(world, net, config, devices)
+    programs = make_programs(env, net, config, devices)
     state, curve = advance(programs, programs.start(seeds), config.iterations)
     seconds = time.perf_counter() - began
     return Trained([state.policy(i) for i in range(len(seeds))], curve, seconds)
@@ -64,8 +64,10 @@ def _count(sums: dict, values: dict) -> None:
     """Add an iteration: episodes that ended, what they gained, and how many ended well."""
     ended = values["episodes"]
     rows = {
-        "gained": values["return"] * ended, "episodes": ended, "success": values["success"] * ended
-    }  # fmt: skip
+        "gained": values["return"] * ended,
+        "episodes": ended,
+        "success": values["success"] * ended,
+    }
     for name, row in rows.items():
         sums[name] = sums.get(name, 0.0) + row
 

@@ -18,16 +18,16 @@ from scipy.spatial.transform import Rotation
 from benchmarks import rivals
 from benchmarks.kernels import CELL, configurations
 from benchmarks.report import metric, rate, write
-from hybrid_jax.devices import Spread, use_all_cores
 from hybrid_jax.feasibility.building import FeasibilityMap, build_feasibility_map
+from hybrid_jax.feasibility.evaluation import Reason
 from hybrid_jax.feasibility.grid import MapConfig, poses_at
-from hybrid_jax.feasibility.judging import Reason
 from hybrid_jax.feasibility.lookup import query
 from hybrid_jax.ik import IkConfig, solve_ik
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.kinematics import manipulability, tool_pose
-from hybrid_jax.pictures import draw_map
-from hybrid_jax.progress import Progress
+from hybrid_jax.reports.run_pictures import draw_map
+from hybrid_jax.runtime.devices import Spread, use_all_cores
+from hybrid_jax.runtime.progress import Progress
 from hybrid_jax.workcell.load import load_workcell
 
 GRID = MapConfig(lower=(0.0, -0.6, 0.0), upper=(0.95, 0.55, 0.75), spacing=0.05, orientations=521)
@@ -91,8 +91,9 @@ def oracle_labels(cell, spread, check: Checker, positions, quats, least: float) 
     for start in range(0, len(poses), 200):
         some = slice(start, start + 200)
         q, usable = solve(shared, spread.split(poses[some]), spread.split(keys[some]))
-        rows = zip(np.asarray(q, float), np.asarray(usable), positions[some], quats[some],
-                   strict=True)  # fmt: skip
+        rows = zip(
+            np.asarray(q, float), np.asarray(usable), positions[some], quats[some], strict=True
+        )
         labels += [
             any(check.reaches(x, p, r) and check.free(x) for x in ends[ok])
             for ends, ok, p, r in rows
@@ -111,10 +112,12 @@ def against_oracle(cell, spread, fmap: FeasibilityMap, sizes: Sizes) -> dict[str
     check = Checker(cell)
     least = float(fmap.manipulability_scale) * grid.least_manipulability
     oracle = oracle_labels(cell, spread, check, positions, quats, least)
-    verified = np.array([
-        bool(mine and check.reaches(x, p, r) and check.free(x))
-        for mine, x, p, r in zip(ours, q, positions, quats, strict=True)
-    ])  # fmt: skip
+    verified = np.array(
+        [
+            bool(mine and check.reaches(x, p, r) and check.free(x))
+            for mine, x, p, r in zip(ours, q, positions, quats, strict=True)
+        ]
+    )
     return {
         "agreement": float(np.mean(ours == oracle)),
         "false": float(np.mean(ours & ~verified)),
@@ -138,8 +141,10 @@ def reachable_found(cell, spread, count: int) -> tuple[float, float]:
     speed, _ = rate(lambda: solve(shared, *items).q, len(q))
     answers = np.asarray(solve(shared, *items).q, float)
     places, turns = np.asarray(dq.position(jnp.asarray(poses))), poses[:, :4]
-    good = [check.reaches(x, p, r) and check.free(x)
-            for x, p, r in zip(answers, places, turns, strict=True)]  # fmt: skip
+    good = [
+        check.reaches(x, p, r) and check.free(x)
+        for x, p, r in zip(answers, places, turns, strict=True)
+    ]
     return float(np.mean(good)), speed
 
 
@@ -191,16 +196,27 @@ def main(json: Path | None = None, picture: Path | None = None, tiny: bool = Fal
         metric("map.seconds_4m", seconds * scale, "s", "lower", f"{grid.size} poses"),
         metric("map.poses", speed, "1/s", "higher", f"{len(spread.devices)} devices"),
         metric("map.feasible_share", result["feasible"], "1", "higher", "of the oracle's poses"),
-        metric("map.oracle_agreement", result["agreement"], "1", "higher",
-               f"{sizes.oracle} poses, 64 seeds"),
+        metric(
+            "map.oracle_agreement",
+            result["agreement"],
+            "1",
+            "higher",
+            f"{sizes.oracle} poses, 64 seeds",
+        ),
         metric("map.false_feasible", result["false"], "1", "lower", "C MuJoCo refuses it"),
         metric("map.missed", result["missed"], "1", "lower", "the oracle found a way"),
-        metric("map.beyond_oracle", result["beyond"], "1", "higher",
-               "verified, and the oracle found none"),
-        metric("map.ik_found", found, "1", "higher",
-               f"of {sizes.reachable} poses, {ik_rate:.0f}/s"),
+        metric(
+            "map.beyond_oracle",
+            result["beyond"],
+            "1",
+            "higher",
+            "verified, and the oracle found none",
+        ),
+        metric(
+            "map.ik_found", found, "1", "higher", f"of {sizes.reachable} poses, {ik_rate:.0f}/s"
+        ),
         metric("map.query", 1e6 / asked, "us", "lower", "each, in a batch of 4096"),
-    ]  # fmt: skip
+    ]
     if rival:
         # before and after: a slow minute is not the rival's
         rival = max(rival, bullet_rate(cell, sizes))
@@ -210,8 +226,9 @@ def main(json: Path | None = None, picture: Path | None = None, tiny: bool = Fal
     index = np.random.default_rng(2).choice(grid.size, sizes.mink, replace=False)
     positions, quats = poses_at(grid, index)
     solved, mink_speed = rivals.mink_solves(cell, positions, quats)
-    figures.append(metric("map.mink", mink_speed, "1/s", "higher",
-                          f"IK alone, one seed; solves {solved:.3f}"))  # fmt: skip
+    figures.append(
+        metric("map.mink", mink_speed, "1/s", "higher", f"IK alone, one seed; solves {solved:.3f}")
+    )
     write(figures, json)
 
 

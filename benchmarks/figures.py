@@ -63,8 +63,9 @@ class _Figures(string.Formatter):
         return value["note"] if conversion == "n" else value
 
     def format_field(self, value, format_spec):
-        return super().format_field(value["value"] if isinstance(value, dict) else value,
-                                    format_spec)  # fmt: skip
+        return super().format_field(
+            value["value"] if isinstance(value, dict) else value, format_spec
+        )
 
 
 def shown(value: float) -> str:

@@ -18,22 +18,22 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.report import metric, write
 from hybrid_jax.agents.switching import SwitchConfig
+from hybrid_jax.execution.batches import execute
+from hybrid_jax.execution.contact_sensors import SensedCell, sense_cell
+from hybrid_jax.execution.engines import HostEngine, get_state
+from hybrid_jax.execution.plant import Plant, Steps
+from hybrid_jax.execution.scheduler import drive
 from hybrid_jax.ik import solve_ik
 from hybrid_jax.planner.bridging import rrt_bridger
 from hybrid_jax.planner.lfd import optimal_chooser
-from hybrid_jax.planner.loading import optimal_switcher, read_library
 from hybrid_jax.planner.pipeline import plan_batch
 from hybrid_jax.planner.records import Planner
-from hybrid_jax.rrt import RrtConfig
-from hybrid_jax.seeds import HOLDING
-from hybrid_jax.simulation.driving import drive
-from hybrid_jax.simulation.engines import HostEngine, get_state
-from hybrid_jax.simulation.plant import Plant, Steps
-from hybrid_jax.simulation.runs import execute
-from hybrid_jax.simulation.sensing import SensedCell, sense_cell
-from hybrid_jax.skills.handling import handling_task
-from hybrid_jax.skills.scenes import sample_scene
-from hybrid_jax.skills.task import Task
+from hybrid_jax.planner.rrt_connect import RrtConfig
+from hybrid_jax.runs.load_planner import optimal_switcher, read_library
+from hybrid_jax.runs.seeds import HOLDING
+from hybrid_jax.tasks.handling import handling_task
+from hybrid_jax.tasks.scene_sampling import sample_scene
+from hybrid_jax.tasks.task import Task
 from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.load import load_workcell
 
@@ -114,9 +114,14 @@ def main(json: Path | None = None, tiny: bool = False) -> None:
         note = f"{turn:.3f} deg; as pyramids: {1e3 * far:.3f} mm, {wide:.3f} deg"
         found += [
             metric(f"holding.{task.object_name}_creep", 1e3 * way, "mm", "lower", note),
-            metric(f"holding.{task.object_name}_transfer", 1e3 * slip, "mm", "lower",
-                   "in the tool, from grip to release"),
-        ]  # fmt: skip
+            metric(
+                f"holding.{task.object_name}_transfer",
+                1e3 * slip,
+                "mm",
+                "lower",
+                "in the tool, from grip to release",
+            ),
+        ]
     write(found, json, {"HOLDING": HOLDING})
 
 

@@ -20,14 +20,15 @@ from packaging.version import Version
 
 from benchmarks import rivals
 from benchmarks.report import metric, race, rate, write
-from hybrid_jax.devices import Spread, use_all_cores
 from hybrid_jax.ik import solve_ik
-from hybrid_jax.kernels import collision
 from hybrid_jax.kernels.batching import CPU_CHUNK, by_backend
+from hybrid_jax.kernels.collision import clearance as clearance_kernel
+from hybrid_jax.kernels.collision.clearance import clearance
 from hybrid_jax.kernels.kinematics import tool_pose
 from hybrid_jax.kernels.rays import sense
-from hybrid_jax.quiet import import_mjx
-from hybrid_jax.workcell.contacts import forbidden_contacts
+from hybrid_jax.runtime.devices import Spread, use_all_cores
+from hybrid_jax.runtime.quiet import import_mjx
+from hybrid_jax.workcell.allowed_collisions import forbidden_contacts
 from hybrid_jax.workcell.load import load_workcell
 
 CELL = "gen3_handling"
@@ -72,7 +73,9 @@ def arithmetic_peak() -> float:
 def operations(cell) -> float:
     """Floating point operations of one clearance: bounds of all pairs, exact for the nearest."""
     batch = jax.tree.map(lambda a: jnp.asarray(a)[None], cell)
-    kernel = functools.partial(collision._kernel, parts="all", measured=collision._MEASURED)
+    kernel = functools.partial(
+        clearance_kernel._kernel, parts="all", measured=clearance_kernel._MEASURED
+    )
     q = jnp.zeros((CPU_CHUNK, cell.home.size))
     cost = jax.jit(lambda q: kernel(batch, q).distance).lower(q).compile().cost_analysis()
     return cost["flops"] / CPU_CHUNK
@@ -97,8 +100,10 @@ def first_calls() -> list[float]:
     """Seconds of the first call of `clearance` in a new process: empty cache, then filled."""
     with tempfile.TemporaryDirectory() as folder:
         code = FIRST_CALL.format(folder=folder)
-        runs = [subprocess.run([sys.executable, "-c", code], capture_output=True, text=True,
-                               check=True) for _ in range(2)]  # fmt: skip
+        runs = [
+            subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+            for _ in range(2)
+        ]
     return [float(run.stdout.split()[-1]) for run in runs]
 
 
@@ -173,16 +178,20 @@ def mjx_in_its_process(count: int, flags: str) -> float:
         f"cell = load_workcell(CELL); print(mjx_rate(cell, configurations(cell, {count})))"
     )
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT,
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=ROOT,
         env={**os.environ, "XLA_FLAGS": flags},
-    )  # fmt: skip
+    )
     return float(done.stdout.split()[-1])
 
 
 def contest(cell, q: np.ndarray, ours, swept: int) -> dict[str, float]:
     """Configurations per second of `ours`, of a plain jit(vmap) and of the engines, in turns."""
     engine, bullet = rivals.Engine(cell), rivals.bullet(cell)
-    alone = jax.jit(jax.vmap(collision.clearance, (None, 0)))
+    alone = jax.jit(jax.vmap(clearance, (None, 0)))
     runs = {
         "ours": (ours, len(q)),
         "one device": (lambda: alone(cell, q), len(q)),
@@ -212,7 +221,7 @@ def main(json: Path | None = None, mjx: bool = True, tiny: bool = False) -> None
     spread = Spread()
     shared, q = spread.share(cell), configurations(cell, sizes.batch)
     items = spread.split(q)
-    clear = spread.over(collision.clearance, 1)
+    clear = spread.over(clearance, 1)
     fk, rays = spread.over(tool_pose, 1), spread.over(sense, 1)
     solve = spread.over(lambda cell, pose, key: solve_ik(cell, pose, key=key), 2)
     poses = fk(shared, items)
@@ -239,29 +248,75 @@ def main(json: Path | None = None, mjx: bool = True, tiny: bool = False) -> None
         metric("kernels.first_call_warm", warm, "s", "lower", "the same, compile cache filled"),
         metric("kernels.batch_compile", first, "s", "lower", f"batch of {sizes.batch}"),
         metric("kernels.clearance", ours, "1/s", "higher", f"{len(spread.devices)} devices"),
-        metric("kernels.clearance_one_device", speed["one device"], "1/s", "higher",
-               "plain jit(vmap)"),
+        metric(
+            "kernels.clearance_one_device", speed["one device"], "1/s", "higher", "plain jit(vmap)"
+        ),
         metric("kernels.mujoco_one_thread", native, "1/s", "higher", "C MuJoCo, objects welded"),
-        metric("kernels.mujoco_rollout", speed["rollout"], "1/s", "higher",
-               "C MuJoCo's own threads on all cores, a step each"),
-        metric("kernels.mujoco_all_cores", whole, "1/s", "higher",
-               "a Python loop in a process for each core"),
-        metric("kernels.clearance_vs_mujoco_all_cores", ours / max(whole, speed["rollout"]), "1",
-               "higher", "both on all cores, the faster of its two ways"),
-        metric("kernels.clearance_vs_mujoco", speed["one device"] / native, "1", "higher",
-               "both on one core"),
-        metric("kernels.clearance_peak_share", ours * flops / peak, "1", "higher",
-               f"{flops / 1e3:.0f} kflop each, peak {peak / 1e9:.0f} Gflop/s"),
-        metric("kernels.clearance_sign_agreement", agree, "1", "higher",
-               f"{differ} of {sizes.signs} differ"),
-        metric("kernels.clearance_sign_right", decided, "1", "higher",
-               "after geometry has decided where they differ"),
+        metric(
+            "kernels.mujoco_rollout",
+            speed["rollout"],
+            "1/s",
+            "higher",
+            "C MuJoCo's own threads on all cores, a step each",
+        ),
+        metric(
+            "kernels.mujoco_all_cores",
+            whole,
+            "1/s",
+            "higher",
+            "a Python loop in a process for each core",
+        ),
+        metric(
+            "kernels.clearance_vs_mujoco_all_cores",
+            ours / max(whole, speed["rollout"]),
+            "1",
+            "higher",
+            "both on all cores, the faster of its two ways",
+        ),
+        metric(
+            "kernels.clearance_vs_mujoco",
+            speed["one device"] / native,
+            "1",
+            "higher",
+            "both on one core",
+        ),
+        metric(
+            "kernels.clearance_peak_share",
+            ours * flops / peak,
+            "1",
+            "higher",
+            f"{flops / 1e3:.0f} kflop each, peak {peak / 1e9:.0f} Gflop/s",
+        ),
+        metric(
+            "kernels.clearance_sign_agreement",
+            agree,
+            "1",
+            "higher",
+            f"{differ} of {sizes.signs} differ",
+        ),
+        metric(
+            "kernels.clearance_sign_right",
+            decided,
+            "1",
+            "higher",
+            "after geometry has decided where they differ",
+        ),
         metric("kernels.fk", rate(lambda: fk(shared, items), sizes.batch)[0], "1/s", "higher"),
-        metric("kernels.rays", rate(lambda: rays(shared, poses), sizes.batch)[0], "1/s", "higher",
-               "25 each"),
-        metric("kernels.ik", rate(lambda: solve(shared, *some), count_ik)[0], "1/s",
-               "higher", f"batch of {count_ik}, 16 seeds, {found:.4f} found"),
-    ]  # fmt: skip
+        metric(
+            "kernels.rays",
+            rate(lambda: rays(shared, poses), sizes.batch)[0],
+            "1/s",
+            "higher",
+            "25 each",
+        ),
+        metric(
+            "kernels.ik",
+            rate(lambda: solve(shared, *some), count_ik)[0],
+            "1/s",
+            "higher",
+            f"batch of {count_ik}, 16 seeds, {found:.4f} found",
+        ),
+    ]
     if "pybullet" in speed:
         slow = speed["pybullet"]
         figures.append(metric("kernels.pybullet", slow, "1/s", "higher"))
@@ -269,12 +324,22 @@ def main(json: Path | None = None, mjx: bool = True, tiny: bool = False) -> None
     if mjx:
         usual, best = (mjx_in_its_process(count_mjx, flags) for flags in ("", MJX_FLAGS))
         figures += [
-            metric("kernels.mjx", best, "1/s", "higher",
-                   f"batch of {count_mjx}; XLA_FLAGS={MJX_FLAGS or 'none'}"),
+            metric(
+                "kernels.mjx",
+                best,
+                "1/s",
+                "higher",
+                f"batch of {count_mjx}; XLA_FLAGS={MJX_FLAGS or 'none'}",
+            ),
             metric("kernels.mjx_as_it_comes", usual, "1/s", "higher", "the same without flags"),
-            metric("kernels.clearance_vs_mjx", ours / max(best, usual), "1", "higher",
-                   "the faster of the two"),
-        ]  # fmt: skip
+            metric(
+                "kernels.clearance_vs_mjx",
+                ours / max(best, usual),
+                "1",
+                "higher",
+                "the faster of the two",
+            ),
+        ]
     write(figures, json)
     print(f"{time.perf_counter() - began:.0f} s")
 

@@ -99,9 +99,7 @@ def complete(folder: Path) -> None:
         raise SystemExit(f"{folder} ended with {process.returncode}: {err or out}")
 
 
-def main(
-    kills: int = 50, seed: int = 0, json: Path | None = None, tiny: bool = False
-) -> None:
+def main(kills: int = 50, seed: int = 0, json: Path | None = None, tiny: bool = False) -> None:
     """Kill until there were enough.
 
     Args:

@@ -19,7 +19,7 @@ import tyro
 from benchmarks import lfd_learning, lfd_maps, lfd_missing
 from benchmarks.report import metric, write
 from hybrid_jax.kernels import dualquat as dq
-from hybrid_jax.planner.loading import read_library
+from hybrid_jax.runs.load_planner import read_library
 from hybrid_jax.skills.mapping import map_skills
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data" / "robotasks"

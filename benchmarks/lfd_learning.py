@@ -17,17 +17,17 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from benchmarks.report import metric
-from hybrid_jax.agents import controllers, dqn
+from hybrid_jax.agents import dqn, hdqn_networks
+from hybrid_jax.demonstrations.scripted_hand import HOVER, on_part, shifted
 from hybrid_jax.kernels import dualquat as dq
-from hybrid_jax.planner.loading import read_library
-from hybrid_jax.presets import DEFAULT, PAPER
-from hybrid_jax.seeds import LFD_TEST, LFD_TRAINING
+from hybrid_jax.runs.load_planner import read_library
+from hybrid_jax.runs.presets import DEFAULT, PAPER
+from hybrid_jax.runs.seeds import LFD_TEST, LFD_TRAINING
 from hybrid_jax.skills.costs import MAX_KEY_POSES, SegmentCosts, pad_task, segment_costs
 from hybrid_jax.skills.library import SkillConfig, SkillLibrary
-from hybrid_jax.skills.scripts import HOVER, on_part, shifted
-from hybrid_jax.skills.segmentation import optimal_costs
-from hybrid_jax.skills.task import home_pose
-from hybrid_jax.skills.tasks import random_task
+from hybrid_jax.skills.task_segmentation import optimal_costs
+from hybrid_jax.tasks.registry import random_task
+from hybrid_jax.tasks.task import home_pose
 from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.load import load_workcell
 
@@ -116,7 +116,7 @@ def make_training(train: SegmentCosts, test: SegmentCosts, config: dqn.DqnConfig
 
     def body(state, _):
         state, metrics = dqn.training_round(nets, config, train, state, None)
-        cost = controllers.greedy_plans(nets, state.params, test)[1]
+        cost = hdqn_networks.greedy_plans(nets, state.params, test)[1]
         cost = jnp.where(jnp.isfinite(cost), cost, dqn.FAILURE)
         return state, (state.episodes, -jnp.mean(cost), metrics["reward"])
 
@@ -150,9 +150,14 @@ def study(name: str, train, test, config: dqn.DqnConfig, seeds: int) -> tuple[li
     return [
         metric(f"lfd.dqn_optimality{name}", float(np.median(shares)), "1", "higher", seen),
         metric(f"lfd.dqn_steady_episodes{name}", float(np.median(steady)), "1", "lower", ends),
-        metric(f"lfd.dqn_train_seconds{name}", seconds[0], "s", "lower",
-               f"with compiling; {updates} updates, evaluation each round"),
-    ], curves  # fmt: skip
+        metric(
+            f"lfd.dqn_train_seconds{name}",
+            seconds[0],
+            "s",
+            "lower",
+            f"with compiling; {updates} updates, evaluation each round",
+        ),
+    ], curves
 
 
 def random_share(tasks: SegmentCosts, rollouts: int = 50) -> float:
@@ -178,7 +183,7 @@ def random_share(tasks: SegmentCosts, rollouts: int = 50) -> float:
 
 def draw(path: Path, curves: dict[str, list], optimum: float) -> None:
     """Return against episode, mean and spread over the seeds, for each preset."""
-    import matplotlib.pyplot as plt  # noqa: PLC0415
+    import matplotlib.pyplot as plt
 
     fig, ax = plt.subplots(figsize=(6.4, 3.8), layout="constrained")
     for name, runs in curves.items():

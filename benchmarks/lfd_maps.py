@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.report import metric
 from hybrid_jax.kernels import dualquat as dq
-from hybrid_jax.skills.mapping import MAPS, resample
+from hybrid_jax.kernels.pose_paths import resample
+from hybrid_jax.skills.mapping import MAPS
 
 POINTS = 101
 WEIGHTS = 50
@@ -46,7 +47,7 @@ def errors(found: np.ndarray, wanted: np.ndarray) -> tuple[float, float]:
 
 def dmp_path(demo: np.ndarray, start: np.ndarray, goal: np.ndarray) -> np.ndarray:
     """What CartesianDMP, trained on one demonstration `[101, 7]`, makes of new ends."""
-    from movement_primitives.dmp import CartesianDMP  # noqa: PLC0415
+    from movement_primitives.dmp import CartesianDMP
 
     dmp = CartesianDMP(
         execution_time=1.0, dt=1 / (POINTS - 1), n_weights_per_dim=WEIGHTS, smooth_scaling=True

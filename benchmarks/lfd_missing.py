@@ -12,18 +12,18 @@ import numpy as np
 
 from benchmarks.lfd_maps import Demos
 from benchmarks.report import metric
+from hybrid_jax.demonstrations.demonstration import Demonstration
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.skills.costs import MAX_KEY_POSES, segment_costs
-from hybrid_jax.skills.demonstration import Demonstration
 from hybrid_jax.skills.library import SkillConfig, SkillLibrary, build_library, without
-from hybrid_jax.skills.segmentation import missing_skills, optimal_plan
+from hybrid_jax.skills.task_segmentation import missing_skills, optimal_plan
 
 TASKS = 200
 SEGMENTS = 3
 
 
 def _recorded(name: str, poses: np.ndarray) -> Demonstration:
-    from benchmarks.lfd_maps import rows  # noqa: PLC0415
+    from benchmarks.lfd_maps import rows
 
     count = len(poses)
     return Demonstration(name, np.linspace(0, 6, count), rows(poses).astype(float), np.zeros(count))
@@ -53,8 +53,11 @@ def draw_task(demos: Demos, rng: np.random.Generator) -> tuple[SkillLibrary, np.
 def figures(demos: Demos, config: SkillConfig = SkillConfig()) -> list[dict]:
     """Shares of tasks that are accepted with all skills, and whose gap is named without one."""
     rng = np.random.default_rng(0)
-    judge = jax.jit(lambda lib, poses: segment_costs(
-        lib, poses, jnp.zeros(MAX_KEY_POSES, bool), SEGMENTS + 1, config))  # fmt: skip
+    judge = jax.jit(
+        lambda lib, poses: segment_costs(
+            lib, poses, jnp.zeros(MAX_KEY_POSES, bool), SEGMENTS + 1, config
+        )
+    )
     accepted, named = [], []
     for _ in range(TASKS):
         library, poses, chosen = draw_task(demos, rng)

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.compile import compile_workcell
-from hybrid_jax.workcell.unifying import unify_shapes
+from hybrid_jax.workcell.shape_padding import unify_shapes
 
 ACCELERATIONS = (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0)
 """Limits of the Panda's joints, by its maker's data sheet [rad/s^2]."""
@@ -52,15 +52,21 @@ def robot_spec(robot: dict) -> mujoco.MjSpec:
         bodies[joint["child"]] = body
         if joint["type"] == "revolute":
             body.add_joint(
-                name=joint["name"], axis=joint["axis"], range=[joint["lower"], joint["upper"]],
-                limited=True, userdata=[joint["velocity"], next(speeds)],
-            )  # fmt: skip
+                name=joint["name"],
+                axis=joint["axis"],
+                range=[joint["lower"], joint["upper"]],
+                limited=True,
+                userdata=[joint["velocity"], next(speeds)],
+            )
     bodies[robot["end_effector"]].add_site(name="tool")
     for number, sphere in enumerate(robot["spheres"]):
         bodies[sphere["link"]].add_geom(
-            name=f"{sphere['link']}_{number}", type=mujoco.mjtGeom.mjGEOM_SPHERE,
-            pos=sphere["center"], size=[sphere["radius"], 0, 0], mass=0.1,
-        )  # fmt: skip
+            name=f"{sphere['link']}_{number}",
+            type=mujoco.mjtGeom.mjGEOM_SPHERE,
+            pos=sphere["center"],
+            size=[sphere["radius"], 0, 0],
+            mass=0.1,
+        )
     checked = {frozenset(pair) for pair in robot["vamp_checked_self_pairs"]}
     for a, b in combinations(sorted({s["link"] for s in robot["spheres"]}), 2):
         if frozenset((a, b)) not in checked:
@@ -74,9 +80,12 @@ def _add_obstacles(spec: mujoco.MjSpec, data: dict, i: int) -> None:
         quat = Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True)
         kind = {BOX: mujoco.mjtGeom.mjGEOM_BOX, CYLINDER: mujoco.mjtGeom.mjGEOM_CYLINDER}
         spec.worldbody.add_geom(
-            name=f"{data['obs_name'][i, k]}_{k}", type=kind[int(data["obs_type"][i, k])],
-            pos=pose[:3, 3], quat=quat, size=size,
-        )  # fmt: skip
+            name=f"{data['obs_name'][i, k]}_{k}",
+            type=kind[int(data["obs_type"][i, k])],
+            pos=pose[:3, 3],
+            quat=quat,
+            size=size,
+        )
 
 
 def read_problems(folder: Path, every: int = 1) -> list[Problem]:
@@ -94,10 +103,15 @@ def read_problems(folder: Path, every: int = 1) -> list[Problem]:
         here = [i for i in chosen if data["name"][i] == scene]
         cells = unify_shapes([_compiled(robot, data, i) for i in here])
         found += [
-            Problem(str(scene), int(data["index"][i]), cell,
-                    data["start"][i].astype(np.float32), data["goals"][i, 0].astype(np.float32))
+            Problem(
+                str(scene),
+                int(data["index"][i]),
+                cell,
+                data["start"][i].astype(np.float32),
+                data["goals"][i, 0].astype(np.float32),
+            )
             for i, cell in zip(here, cells, strict=True)
-        ]  # fmt: skip
+        ]
     return found
 
 

@@ -21,8 +21,8 @@ import tyro
 import hybrid_jax as hj
 from benchmarks.mbm_cells import Problem, read_problems
 from benchmarks.report import metric, write
-from hybrid_jax.planner.joints import JointMotionConfig, find_path, plan_joint_motion
-from hybrid_jax.planner.ompl_paths import OmplPlanner
+from hybrid_jax.baselines.ompl_paths import OmplPlanner
+from hybrid_jax.planner.point_to_point import JointMotionConfig, find_path, plan_joint_motion
 from hybrid_jax.planner.smoothing import densify
 from hybrid_jax.types import Status
 
@@ -121,9 +121,15 @@ def scene_rows(table: dict[str, list[Row]]) -> list[dict]:
         for name, rows in table.items():
             here = [r for r in rows if r.scene == scene]
             times, solved = [r.seconds for r in here], sum(r.solved for r in here)
-            found.append(metric(f"mbm.{scene}_{name}", float(np.median(times)), "s", "lower",
-                                f"median; mean {np.mean(times):.3f}; {solved} of {len(here)} "
-                                "solved"))  # fmt: skip
+            found.append(
+                metric(
+                    f"mbm.{scene}_{name}",
+                    float(np.median(times)),
+                    "s",
+                    "lower",
+                    f"median; mean {np.mean(times):.3f}; {solved} of {len(here)} solved",
+                )
+            )
     return found
 
 
@@ -135,29 +141,64 @@ def figures(table: dict[str, list[Row]], trajectories: list[tuple[bool, float]])
         medians[name] = float(np.median(times))
         touching = sum(r.touches for r in rows)
         found += [
-            metric(f"mbm.{name}_solved", float(np.mean([r.solved for r in rows])), "1", "higher",
-                   f"{len(rows)} problems; {sum(r.found for r in rows)} paths found, {touching} "
-                   f"of them touch between the points that were checked"),
-            metric(f"mbm.{name}_seconds", medians[name], "s", "lower",
-                   f"median; mean {times.mean():.3f}, p95 {np.quantile(times, 0.95):.3f}, "
-                   f"worst {times.max():.3f}"),
-            metric(f"mbm.{name}_length", float(np.nanmedian([r.length for r in rows])), "rad",
-                   "lower", "median, not shortened"),
-        ]  # fmt: skip
+            metric(
+                f"mbm.{name}_solved",
+                float(np.mean([r.solved for r in rows])),
+                "1",
+                "higher",
+                f"{len(rows)} problems; {sum(r.found for r in rows)} paths found, {touching} "
+                f"of them touch between the points that were checked",
+            ),
+            metric(
+                f"mbm.{name}_seconds",
+                medians[name],
+                "s",
+                "lower",
+                f"median; mean {times.mean():.3f}, p95 {np.quantile(times, 0.95):.3f}, "
+                f"worst {times.max():.3f}",
+            ),
+            metric(
+                f"mbm.{name}_length",
+                float(np.nanmedian([r.length for r in rows])),
+                "rad",
+                "lower",
+                "median, not shortened",
+            ),
+        ]
     pairs = np.array([[a.seconds, b.seconds] for a, b in zip(*table.values(), strict=True)])
     means = pairs.mean(axis=0)
     seconds = [t for _, t in trajectories]
     return found + [
-        metric("mbm.trajectories", float(np.mean([ok for ok, _ in trajectories])), "1", "higher",
-               "smooth, timed, checked; share of the problems"),
-        metric("mbm.trajectory_seconds", float(np.median(seconds)), "s", "lower",
-               f"median of the whole layer; p95 {np.quantile(seconds, 0.95):.3f}"),
-        metric("mbm.solved", float(np.mean([r.solved for r in table["ours"]])), "1", "higher",
-               f"of {len(table['ours'])} problems"),
-        metric("mbm.time_vs_ompl", medians["ours"] / medians["ompl"], "1", "lower",
-               f"ratio of the medians; of the means {means[0] / means[1]:.2f}; median of the "
-               f"ratios {np.median(pairs[:, 0] / pairs[:, 1]):.2f}"),
-    ]  # fmt: skip
+        metric(
+            "mbm.trajectories",
+            float(np.mean([ok for ok, _ in trajectories])),
+            "1",
+            "higher",
+            "smooth, timed, checked; share of the problems",
+        ),
+        metric(
+            "mbm.trajectory_seconds",
+            float(np.median(seconds)),
+            "s",
+            "lower",
+            f"median of the whole layer; p95 {np.quantile(seconds, 0.95):.3f}",
+        ),
+        metric(
+            "mbm.solved",
+            float(np.mean([r.solved for r in table["ours"]])),
+            "1",
+            "higher",
+            f"of {len(table['ours'])} problems",
+        ),
+        metric(
+            "mbm.time_vs_ompl",
+            medians["ours"] / medians["ompl"],
+            "1",
+            "lower",
+            f"ratio of the medians; of the means {means[0] / means[1]:.2f}; median of the "
+            f"ratios {np.median(pairs[:, 0] / pairs[:, 1]):.2f}",
+        ),
+    ]
 
 
 def main(
@@ -174,8 +215,10 @@ def main(
     every = 50 if tiny else every
     hj.use_all_cores()
     if not (folder / "panda_problems.npz").exists():
-        print(f"{folder} has no panda_problems.npz: nothing to run. The problems are not part of "
-              "the project; give their folder by --folder.")  # fmt: skip
+        print(
+            f"{folder} has no panda_problems.npz: nothing to run. The problems are not part of "
+            "the project; give their folder by --folder."
+        )
         return
     write(figures(*compare(read_problems(folder, every))), json)
 

@@ -7,9 +7,9 @@ import time
 
 import jax
 
-from hybrid_jax.devices import usable_cores
 from hybrid_jax.planner.records import PlannerConfig
-from hybrid_jax.skills.tasks import random_task
+from hybrid_jax.runtime.devices import usable_cores
+from hybrid_jax.tasks.registry import random_task
 from hybrid_jax.types import Status
 from hybrid_jax.workcell.load import load_workcell
 
@@ -52,7 +52,7 @@ def _work(workcell: str, warm: range, tasks: range, core: int | None, gate, answ
     """Plan some tasks on one core; answers with how many are solved."""
     if core is not None:
         os.sched_setaffinity(0, {core})
-    from hybrid_jax.planner.ompl_tasks import OmplTasks  # noqa: PLC0415
+    from hybrid_jax.baselines.ompl_tasks import OmplTasks
 
     cell = load_workcell(workcell)
     ompl = OmplTasks(cell, PlannerConfig())

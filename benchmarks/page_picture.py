@@ -10,7 +10,7 @@ from pathlib import Path
 import tyro
 
 from benchmarks.browsing import browser
-from hybrid_jax.runfolder import open_run
+from hybrid_jax.runs.run_folder import open_run
 from hybrid_jax.view.page import ViewPage
 
 NOTICE = "document.querySelectorAll('.mantine-Notification-root').forEach(n => n.remove())"

@@ -29,22 +29,28 @@ from benchmarks.planning_methods import (
     trained_run,
 )
 from benchmarks.report import metric, write
-from hybrid_jax.planner.checking import CheckConfig, Engine, collision_fault, limit_faults
+from hybrid_jax.contracts import PlanResult
 from hybrid_jax.planner.lfd import skill_path
-from hybrid_jax.planner.loading import load_planner
+from hybrid_jax.planner.phase_scenes import phase_scene, segment_kinds
 from hybrid_jax.planner.pipeline import plan_batch
-from hybrid_jax.planner.records import Planner, PlanResult
-from hybrid_jax.planner.scenes import phase_scene, segment_kinds
-from hybrid_jax.seeds import PLANNING_BATCHES, PLANNING_TEST, PLANNING_WARM_UP, SWITCHING_TEST
-from hybrid_jax.skills.task import Task
-from hybrid_jax.skills.tasks import random_task
+from hybrid_jax.planner.records import Planner
+from hybrid_jax.planner.trajectory_check import (
+    CheckConfig,
+    ConfigurationChecker,
+    collision_fault,
+    limit_faults,
+)
+from hybrid_jax.runs.load_planner import load_planner
+from hybrid_jax.runs.seeds import PLANNING_BATCHES, PLANNING_TEST, PLANNING_WARM_UP, SWITCHING_TEST
+from hybrid_jax.tasks.registry import random_task
+from hybrid_jax.tasks.task import Task
 from hybrid_jax.types import Source, Status, Workcell
 
 FINER = CheckConfig(clearance=0.0, max_step=0.005, slack=1.0)
 """The check after the check: four times as dense, nothing beyond the limits."""
 
 
-def rejected(cell: Workcell, engine: Engine, task: Task, plan: PlanResult) -> int:
+def rejected(cell: Workcell, engine: ConfigurationChecker, task: Task, plan: PlanResult) -> int:
     """Trajectories of a plan that the finer check rejects."""
     kinds, count = segment_kinds(task), 0
     for (low, _), phase in zip(task.phases, plan.phases, strict=True):
@@ -57,10 +63,12 @@ def rejected(cell: Workcell, engine: Engine, task: Task, plan: PlanResult) -> in
 def ompl(planner: Planner) -> dict[str, Method]:
     """The rival, or nothing where it is not installed."""
     try:
-        from hybrid_jax.planner.ompl_tasks import OmplTasks  # noqa: PLC0415
+        from hybrid_jax.baselines.ompl_tasks import OmplTasks
     except ImportError as error:
-        print(f"{error.name} is not installed: its rows are left out "
-              "(pip install 'hybrid_jax[bench]')")  # fmt: skip
+        print(
+            f"{error.name} is not installed: its rows are left out "
+            "(pip install 'hybrid_jax[bench]')"
+        )
         return {}
     return {"ompl": OmplTasks(planner.cell, planner.config).plan}
 
@@ -71,8 +79,13 @@ def trial(plan: Method, planner: Planner, task: Task, number: int) -> dict:
     began = time.perf_counter()
     result = plan(task, jax.random.key(number))
     seconds = time.perf_counter() - began
-    row = {"ok": result.status is Status.OK, "status": result.status.name, "seconds": seconds,
-           "detail": result.detail, "result": result}  # fmt: skip
+    row = {
+        "ok": result.status is Status.OK,
+        "status": result.status.name,
+        "seconds": seconds,
+        "detail": result.detail,
+        "result": result,
+    }
     return row | (asdict(measure(planner.cell, task, result, shown)) if row["ok"] else {})
 
 
@@ -82,35 +95,56 @@ def rows_of(name: str, rows: list[dict]) -> list[dict]:
     times = np.array([r["seconds"] for r in rows])
     causes = Counter(r["status"] for r in rows if not r["ok"])
     found = [
-        metric(f"planning.{name}_success", len(good) / len(rows), "1", "higher",
-               f"{len(rows)} tasks; failures: {dict(causes) or 'none'}"),
-        metric(f"planning.{name}_seconds", float(np.median(times)), "s", "lower",
-               f"median; p95 {np.quantile(times, 0.95):.3f}, p99 {np.quantile(times, 0.99):.3f}"),
-    ]  # fmt: skip
+        metric(
+            f"planning.{name}_success",
+            len(good) / len(rows),
+            "1",
+            "higher",
+            f"{len(rows)} tasks; failures: {dict(causes) or 'none'}",
+        ),
+        metric(
+            f"planning.{name}_seconds",
+            float(np.median(times)),
+            "s",
+            "lower",
+            f"median; p95 {np.quantile(times, 0.95):.3f}, p99 {np.quantile(times, 0.99):.3f}",
+        ),
+    ]
     if not good:
         return found
-    mean = {key: float(np.mean([r[key] for r in good])) for key in
-            ("length", "duration", "jerk", "tilt", "approach")}  # fmt: skip
+    mean = {
+        key: float(np.mean([r[key] for r in good]))
+        for key in ("length", "duration", "jerk", "tilt", "approach")
+    }
     units = {"length": "rad", "duration": "s", "jerk": "rad/s^3", "tilt": "deg", "approach": "deg"}
-    found += [metric(f"planning.{name}_{key}", value, units[key], "lower", "mean of solved tasks")
-              for key, value in mean.items()]  # fmt: skip
+    found += [
+        metric(f"planning.{name}_{key}", value, units[key], "lower", "mean of solved tasks")
+        for key, value in mean.items()
+    ]
     least = min(r["clearance"] for r in good)
     found.append(metric(f"planning.{name}_clearance", least, "m", "higher", "smallest of all"))
     shares = [r["result"].shares for r in good]
     for source in Source:
         share = float(np.mean([s[source] for s in shares]))
         if share and name != "ompl":
-            found.append(metric(f"planning.{name}_share_{source.name.lower()}", share, "1",
-                                "higher", "share of way points"))  # fmt: skip
+            found.append(
+                metric(
+                    f"planning.{name}_share_{source.name.lower()}",
+                    share,
+                    "1",
+                    "higher",
+                    "share of way points",
+                )
+            )
     return found
 
 
 def compare(
-    planner: Planner, contestants: dict[str, Method], tasks: list[Task], warm: int
+    planner: Planner, methods_module: dict[str, Method], tasks: list[Task], warm: int
 ) -> tuple[list[dict], dict[str, list[dict]]]:
     """All methods, each compiled on tasks of its own first."""
     cell, found, table = planner.cell, [], {}
-    for name, plan in contestants.items():
+    for name, plan in methods_module.items():
         for number in range(warm):
             plan(random_task(cell, PLANNING_WARM_UP[number]), jax.random.key(number))
         table[name] = [trial(plan, planner, task, i) for i, task in enumerate(tasks)]
@@ -130,30 +164,59 @@ def headline(switch: Optimality, table: dict[str, list[dict]]) -> list[dict]:
     found = [
         metric("planning.seconds_median", float(np.median(times)), "s", "lower", "one task"),
         metric("planning.seconds_p99", float(np.quantile(times, 0.99)), "s", "lower", "one task"),
-        metric("planning.seam_step_ratio", float(seams.max()), "1", "lower",
-               f"worst of all; median {np.median(seams):.2f}, p95 {np.quantile(seams, 0.95):.2f}"),
-        metric("planning.switch_optimality", float(switch.agent.mean()), "1", "higher",
-               f"{len(switch.agent)} unseen phases; worst {switch.agent.min():.3f}"),
-        metric("planning.switch_rule_optimality", float(switch.rule.mean()), "1", "higher",
-               f"of the rule in its place, on the same phases; worst {switch.rule.min():.3f}"),
-    ]  # fmt: skip
+        metric(
+            "planning.seam_step_ratio",
+            float(seams.max()),
+            "1",
+            "lower",
+            f"worst of all; median {np.median(seams):.2f}, p95 {np.quantile(seams, 0.95):.2f}",
+        ),
+        metric(
+            "planning.switch_optimality",
+            float(switch.agent.mean()),
+            "1",
+            "higher",
+            f"{len(switch.agent)} unseen phases; worst {switch.agent.min():.3f}",
+        ),
+        metric(
+            "planning.switch_rule_optimality",
+            float(switch.rule.mean()),
+            "1",
+            "higher",
+            f"of the rule in its place, on the same phases; worst {switch.rule.min():.3f}",
+        ),
+    ]
     if "ompl" in table:
         both = [(a, b) for a, b in zip(own, table["ompl"], strict=True) if b["ok"]]
         pairs = [(a, b) for a, b in both if a["ok"]]
         solved = len(pairs) / max(1, len(both))
-        found.append(metric("planning.solved", solved, "1", "higher",
-                            f"of {len(both)} tasks that OMPL solves in 10 s"))  # fmt: skip
+        found.append(
+            metric(
+                "planning.solved",
+                solved,
+                "1",
+                "higher",
+                f"of {len(both)} tasks that OMPL solves in 10 s",
+            )
+        )
         for key in ("tilt", "approach"):
             ratio = np.mean([b[key] for _, b in pairs]) / np.mean([a[key] for a, _ in pairs])
-            found.append(metric(f"planning.adherence_vs_ompl_{key}", float(ratio), "1", "higher",
-                                "OMPL's deviation over ours, tasks that both solve"))  # fmt: skip
+            found.append(
+                metric(
+                    f"planning.adherence_vs_ompl_{key}",
+                    float(ratio),
+                    "1",
+                    "higher",
+                    "OMPL's deviation over ours, tasks that both solve",
+                )
+            )
     return found
 
 
 def batch(planner: Planner, count: int, size: int) -> list[dict]:
     """Rate of batches of so many tasks; trajectories returned and rejected by the finer check."""
     cell = planner.cell
-    engine, checked, bad, rates = Engine(cell, FINER), 0, 0, []
+    engine, checked, bad, rates = ConfigurationChecker(cell, FINER), 0, 0, []
     for first in range(0, count, size):
         tasks = [random_task(cell, PLANNING_BATCHES[first + i]) for i in range(size)]
         began = time.perf_counter()
@@ -164,12 +227,22 @@ def batch(planner: Planner, count: int, size: int) -> list[dict]:
             bad += rejected(cell, engine, task, result) if result.phases else 0
         print(f"batch of {size}: {rates[-1]:.1f} plans/s, {bad} of {checked} rejected", flush=True)
     return [
-        metric("planning.batch_plans_per_second", float(np.median(rates[1:] or rates)), "1/s",
-               "higher", f"{size} tasks; median of {len(rates)} batches but the first, which "
-               f"compiles; best {max(rates):.1f}"),
-        metric("planning.rejected", bad, "1", "lower",
-               f"of {checked} returned trajectories, by a check four times as dense"),
-    ]  # fmt: skip
+        metric(
+            "planning.batch_plans_per_second",
+            float(np.median(rates[1:] or rates)),
+            "1/s",
+            "higher",
+            f"{size} tasks; median of {len(rates)} batches but the first, which "
+            f"compiles; best {max(rates):.1f}",
+        ),
+        metric(
+            "planning.rejected",
+            bad,
+            "1",
+            "lower",
+            f"of {checked} returned trajectories, by a check four times as dense",
+        ),
+    ]
 
 
 def ompl_rate(workcell: str, warm: int, count: int, ours: float) -> list[dict]:
@@ -180,11 +253,21 @@ def ompl_rate(workcell: str, warm: int, count: int, ours: float) -> list[dict]:
         workcell, PLANNING_WARM_UP[:warm], PLANNING_BATCHES[:count]
     )
     return [
-        metric("planning.ompl_batch_plans_per_second", rate, "1/s", "higher",
-               f"{count} of the same tasks, a process on each core; solved {solved:.3f}"),
-        metric("planning.batch_vs_ompl", ours / rate, "1", "higher",
-               "plans/s of a batch, both on all cores"),
-    ]  # fmt: skip
+        metric(
+            "planning.ompl_batch_plans_per_second",
+            rate,
+            "1/s",
+            "higher",
+            f"{count} of the same tasks, a process on each core; solved {solved:.3f}",
+        ),
+        metric(
+            "planning.batch_vs_ompl",
+            ours / rate,
+            "1",
+            "higher",
+            "plans/s of a batch, both on all cores",
+        ),
+    ]
 
 
 def main(
@@ -207,13 +290,16 @@ def main(
     tasks, batched, size, warm, unseen = (
         (2, 4, 4, 1, 2) if tiny else (tasks, batched, 256, 10, SWITCH_TEST)
     )
-    drawn = {"PLANNING_TEST": PLANNING_TEST, "PLANNING_BATCHES": PLANNING_BATCHES,
-             "SWITCHING_TEST": SWITCHING_TEST}  # fmt: skip
+    drawn = {
+        "PLANNING_TEST": PLANNING_TEST,
+        "PLANNING_BATCHES": PLANNING_BATCHES,
+        "SWITCHING_TEST": SWITCHING_TEST,
+    }
     with trained_run(run, tiny) as opened:
         planner = load_planner(opened)
         some = [random_task(opened.cell, seed) for seed in PLANNING_TEST[:tasks]]
-        contestants = methods(opened, planner) | ompl(planner)
-        found, table = compare(planner, contestants, some, warm)
+        methods_module = methods(opened, planner) | ompl(planner)
+        found, table = compare(planner, methods_module, some, warm)
         switch = switch_optimality(planner, opened.preset.switch, unseen)
         found += headline(switch, table)
         write(found, json, drawn)

@@ -7,12 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from hybrid_jax.contracts import PlanResult
 from hybrid_jax.kernels import dualquat as dq
-from hybrid_jax.kernels.edges import path_clearance
+from hybrid_jax.kernels.collision.motion_validation import path_clearance
 from hybrid_jax.kernels.kinematics import tool_pose
-from hybrid_jax.planner.records import PlanResult
-from hybrid_jax.planner.scenes import CARRYING, inside, segment_kinds, task_scenes
-from hybrid_jax.skills.task import Task
+from hybrid_jax.planner.phase_scenes import CARRYING, inside, segment_kinds, task_scenes
+from hybrid_jax.tasks.task import Task
 from hybrid_jax.types import Trajectory, Workcell
 
 APPROACH, STRETCHES = 0.08, 16
@@ -62,8 +62,9 @@ def _tool(cell: Workcell, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     w, x, y, z = poses[:, :4].T
     axis = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=1)
     dual, real = poses[:, 4:], poses[:, :4]
-    position = 2 * (real[:, :1] * dual[:, 1:] - dual[:, :1] * real[:, 1:]
-                    + np.cross(real[:, 1:], dual[:, 1:]))  # fmt: skip
+    position = 2 * (
+        real[:, :1] * dual[:, 1:] - dual[:, :1] * real[:, 1:] + np.cross(real[:, 1:], dual[:, 1:])
+    )
     return position, axis
 
 
@@ -108,7 +109,11 @@ def measure(cell: Workcell, task: Task, plan: PlanResult, shown: np.ndarray) -> 
             approaches.append(_approach(position, demonstration))
     ways = [np.linalg.norm(np.diff(p.positions, axis=0), axis=1).sum() for p in plan.phases]
     return Measures(
-        float(sum(ways)), float(sum(p.times[-1] for p in plan.phases)), seam_ratio(plan.phases),
-        float(np.sqrt(np.mean(np.concatenate(jerks) ** 2))), float(min(gaps)),
-        float(np.mean(tilts)), float(np.mean(approaches)),
-    )  # fmt: skip
+        float(sum(ways)),
+        float(sum(p.times[-1] for p in plan.phases)),
+        seam_ratio(plan.phases),
+        float(np.sqrt(np.mean(np.concatenate(jerks) ** 2))),
+        float(min(gaps)),
+        float(np.mean(tilts)),
+        float(np.mean(approaches)),
+    )

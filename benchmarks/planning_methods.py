@@ -12,8 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hybrid_jax.agents import switching
-from hybrid_jax.agents.switching import Combined
-from hybrid_jax.planner.ablations import (
+from hybrid_jax.baselines.ablations import (
     ABLATIONS,
     ablated,
     joint_agent_only,
@@ -21,16 +20,17 @@ from hybrid_jax.planner.ablations import (
     plan_directly,
     rule_switcher,
 )
-from hybrid_jax.planner.loading import load_learned_chooser
+from hybrid_jax.baselines.trained import whole_space_agent
+from hybrid_jax.contracts import Combined, PlanResult
 from hybrid_jax.planner.pipeline import plan_motion
-from hybrid_jax.planner.records import Planner, PlanResult
-from hybrid_jax.planner.switchdata import combined_phases
-from hybrid_jax.runfolder import Run, create_run, open_run
-from hybrid_jax.seeds import SWITCHING_TEST
-from hybrid_jax.skills.task import Task
-from hybrid_jax.skills.tasks import random_task
-from hybrid_jax.stages import learn
-from hybrid_jax.studies.rivals import whole_space_agent
+from hybrid_jax.planner.records import Planner
+from hybrid_jax.runs.load_planner import load_learned_chooser
+from hybrid_jax.runs.run_folder import Run, create_run, open_run
+from hybrid_jax.runs.seeds import SWITCHING_TEST
+from hybrid_jax.runs.stages import learn
+from hybrid_jax.runs.switch_problems import combined_phases
+from hybrid_jax.tasks.registry import random_task
+from hybrid_jax.tasks.task import Task
 
 SWITCH_TEST = 48
 """Unseen tasks whose phases the switching agent is tried on."""

@@ -9,14 +9,20 @@ import jax
 import numpy as np
 from scipy import stats
 
-from hybrid_jax.provenance import write_figures
+from hybrid_jax.runtime.provenance import write_figures
 
 
 def metric(key: str, value: float, unit: str, better: str, note: str = "") -> dict:
     """One figure of this machine."""
     device = f"{jax.devices()[0].device_kind}, jax {jax.__version__}"
-    return {"key": key, "value": value, "unit": unit, "better": better, "device": device,
-            "note": note}  # fmt: skip
+    return {
+        "key": key,
+        "value": value,
+        "unit": unit,
+        "better": better,
+        "device": device,
+        "note": note,
+    }
 
 
 def rate(run: Callable[[], object], count: int, seconds: float = 2.0) -> tuple[float, float]:
@@ -62,7 +68,7 @@ def write(metrics: list[dict], path: Path | None, seeds: Mapping[str, range] | N
     Args:
         metrics: see `metric`.
         path: JSON file; `docs/figures/NAME.json` is what the documents are rendered from.
-        seeds: ranges of `hybrid_jax.seeds` that were drawn from, by name.
+        seeds: ranges of `hybrid_jax.runs.seeds` that were drawn from, by name.
     """
     for m in metrics:
         better = f"({m['better']} is better)" if m["better"] else ""

@@ -12,19 +12,22 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from hybrid_jax.devices import usable_cores
-from hybrid_jax.kernels.primitives import local_shapes, row_links
-from hybrid_jax.quiet import engine_messages
+from hybrid_jax.kernels.collision.rounded_boxes import local_shapes, row_links
+from hybrid_jax.runtime.devices import usable_cores
+from hybrid_jax.runtime.quiet import engine_messages
 from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.assets import find_workcell
 from hybrid_jax.workcell.layout import home_qpos
 
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _IDLE = int(
-    mujoco.mjtDisableBit.mjDSBL_LIMIT | mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS
-    | mujoco.mjtDisableBit.mjDSBL_GRAVITY | mujoco.mjtDisableBit.mjDSBL_ACTUATION
-    | mujoco.mjtDisableBit.mjDSBL_SENSOR | mujoco.mjtDisableBit.mjDSBL_WARMSTART
-)  # fmt: skip
+    mujoco.mjtDisableBit.mjDSBL_LIMIT
+    | mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS
+    | mujoco.mjtDisableBit.mjDSBL_GRAVITY
+    | mujoco.mjtDisableBit.mjDSBL_ACTUATION
+    | mujoco.mjtDisableBit.mjDSBL_SENSOR
+    | mujoco.mjtDisableBit.mjDSBL_WARMSTART
+)
 """Parts of a step that have nothing to do with collisions."""
 
 
@@ -159,11 +162,13 @@ class Bullet:
         kinds = {"capsule": p.GEOM_CAPSULE, "box": p.GEOM_BOX, "sphere": p.GEOM_SPHERE}
         kind, radius, length, half, position, orientation = zip(*ones, strict=True)
         return p.createCollisionShapeArray(
-            shapeTypes=[kinds[k] for k in kind], radii=list(radius), lengths=list(length),
+            shapeTypes=[kinds[k] for k in kind],
+            radii=list(radius),
+            lengths=list(length),
             halfExtents=[list(h) for h in half],
             collisionFramePositions=[list(x) for x in position],
             collisionFrameOrientations=[list(x) for x in orientation],
-        )  # fmt: skip
+        )
 
     def _robot(self, cell: Workcell) -> int:
         p, chain = self.bullet, cell.chain
@@ -177,7 +182,8 @@ class Bullet:
         ]
         frames = [*offset, tool]
         return p.createMultiBody(
-            baseMass=0, basePosition=np.asarray(chain.base[:3], float).tolist(),
+            baseMass=0,
+            basePosition=np.asarray(chain.base[:3], float).tolist(),
             baseOrientation=_xyzw(chain.base[3:]),
             linkMasses=[1.0] * (count + 1),
             linkCollisionShapeIndices=[*shapes, -1],
@@ -190,7 +196,7 @@ class Bullet:
             linkJointTypes=[p.JOINT_REVOLUTE] * count + [p.JOINT_FIXED],
             linkJointAxis=[*np.asarray(chain.axis, float).tolist(), [0, 0, 1]],
             flags=p.URDF_USE_SELF_COLLISION | p.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT,
-        )  # fmt: skip
+        )
 
     def place(self, q) -> None:
         for joint in range(self.joints):
@@ -217,9 +223,13 @@ class Bullet:
         p = self.bullet
         self.place(np.asarray(self.cell.home, float))
         q = p.calculateInverseKinematics(
-            self.robot, self.joints, position, quat_xyzw, maxNumIterations=100,
+            self.robot,
+            self.joints,
+            position,
+            quat_xyzw,
+            maxNumIterations=100,
             residualThreshold=1e-5,
-        )  # fmt: skip
+        )
         self.place(q)
         place, turn = self.tool()
         angle = (Rotation.from_quat(turn) * Rotation.from_quat(quat_xyzw).inv()).magnitude()
@@ -238,11 +248,11 @@ def _primitives(shapes, every: bool = False) -> list:
     """(kind, radius, length, half extents, position, orientation) of a list of primitives."""
     found = []
     for i in range(shapes.count):
-        pose, half = np.asarray(shapes.pose[i], float), np.asarray(shapes.half[i], float)
+        pose, half = np.asarray(shapes.pose[i], float), np.asarray(shapes.half_extents[i], float)
         radius = float(shapes.radius[i])
-        kind = "box" if i >= shapes.slim else "capsule" if half[2] > 0 else "sphere"
+        kind = "box" if i >= shapes.capsule_count else "capsule" if half[2] > 0 else "sphere"
         one = (kind, radius, 2 * half[2], half, pose[:3], _xyzw(pose[3:]))
-        found.append(one if float(shapes.on[i]) > 0 else None)
+        found.append(one if float(shapes.active[i]) > 0 else None)
     return found if every else [one for one in found if one]
 
 

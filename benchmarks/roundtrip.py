@@ -21,7 +21,7 @@ from random_plans import random_cell, random_plan  # noqa: E402
 from roundtrips import Departures, depart  # noqa: E402
 
 from benchmarks.report import metric, write  # noqa: E402
-from hybrid_jax.seeds import ROUND_TRIPS  # noqa: E402
+from hybrid_jax.runs.seeds import ROUND_TRIPS
 
 PLANS = 20
 """Of each arm."""
@@ -59,9 +59,14 @@ def main(plans: int = 1000, json: Path | None = None, tiny: bool = False) -> Non
         metric("roundtrip.joint_error", total.joint, "", "lower", f"rad or m; {note}"),
         metric("roundtrip.gripper_errors", total.gripper, "", "lower", note),
         metric("roundtrip.controller_error", 1e3 * total.tool, "mm", "lower", tool),
-        metric("roundtrip.controller_violations", total.limits + total.refused, "", "lower",
-               "times beyond a limit, and files that ROS 2 refuses"),
-    ]  # fmt: skip
+        metric(
+            "roundtrip.controller_violations",
+            total.limits + total.refused,
+            "",
+            "lower",
+            "times beyond a limit, and files that ROS 2 refuses",
+        ),
+    ]
     write(rows, json, {"ROUND_TRIPS": ROUND_TRIPS})
 
 

@@ -27,10 +27,11 @@ from benchmarks.planning_methods import (
 )
 from benchmarks.report import interval, metric, write
 from hybrid_jax.agents import switching
-from hybrid_jax.agents.switching import STEPS, Combined, SwitchConfig
-from hybrid_jax.planner.loading import load_planner
-from hybrid_jax.presets import PRESETS
-from hybrid_jax.seeds import BENCHMARK_TRAINING, SWITCHING_TEST
+from hybrid_jax.agents.switching import SwitchConfig
+from hybrid_jax.contracts import STEPS, Combined
+from hybrid_jax.runs.load_planner import load_planner
+from hybrid_jax.runs.presets import PRESETS
+from hybrid_jax.runs.seeds import BENCHMARK_TRAINING, SWITCHING_TEST
 
 SEEDS = tuple(range(5))
 SWITCH_TASKS = 24
@@ -83,8 +84,8 @@ def study(
 ) -> Study:
     """Train all seeds of one preset and try them on unseen phases."""
     net = switching.make_net(training.q.shape[-1], config)
-    world = switching.SwitchWorld(training, config)
-    trained = drl_trainings.run(world, net, config.training, seeds)
+    env = switching.SwitchEnv(training, config)
+    trained = drl_trainings.run(env, net, config.training, seeds)
     run = jax.jit(lambda policy: switching.choose(net, policy, test, config))
     answers = [jax.device_get(run(policy)) for policy in trained.policies]
     picks = [chosen(test, choice) for choice, _ in answers]
@@ -107,32 +108,59 @@ def rows(name: str, found: Study, count: int) -> list[dict]:
     mean, half = interval(found.optimality)
     bad, bad_half = interval(found.infeasible)
     return [
-        metric(f"switching.{name}_optimality", mean, "1", "higher",
-               f"+- {half:.4f}, {len(found.optimality)} seeds, lowest "
-               f"{found.optimality.min():.4f}; {count} unseen phases"),
-        metric(f"switching.{name}_rule_optimality", found.rule, "1", "higher",
-               "the rule: the joint agent wherever it has a motion"),
-        metric(f"switching.{name}_infeasible", bad, "1", "lower",
-               f"+- {bad_half:.4f}; share of points; the optimum leaves {found.least:.4f}"),
-        metric(f"switching.{name}_switches", float(found.switches.mean()), "1", "lower",
-               "changes of the source in a phase"),
-        metric(f"switching.{name}_seconds", found.seconds, "s", "lower",
-               f"all seeds, {found.episodes[-1]:.0f} episodes"),
-    ]  # fmt: skip
+        metric(
+            f"switching.{name}_optimality",
+            mean,
+            "1",
+            "higher",
+            f"+- {half:.4f}, {len(found.optimality)} seeds, lowest "
+            f"{found.optimality.min():.4f}; {count} unseen phases",
+        ),
+        metric(
+            f"switching.{name}_rule_optimality",
+            found.rule,
+            "1",
+            "higher",
+            "the rule: the joint agent wherever it has a motion",
+        ),
+        metric(
+            f"switching.{name}_infeasible",
+            bad,
+            "1",
+            "lower",
+            f"+- {bad_half:.4f}; share of points; the optimum leaves {found.least:.4f}",
+        ),
+        metric(
+            f"switching.{name}_switches",
+            float(found.switches.mean()),
+            "1",
+            "lower",
+            "changes of the source in a phase",
+        ),
+        metric(
+            f"switching.{name}_seconds",
+            found.seconds,
+            "s",
+            "lower",
+            f"all seeds, {found.episodes[-1]:.0f} episodes",
+        ),
+    ]
 
 
 def draw(path: Path, studies: dict[str, Study]) -> None:
     """Return over episodes, mean of the seeds and its 95 % interval, and the optimum."""
-    fig, axes = plt.subplots(1, len(studies), figsize=(5.5 * len(studies), 3.6),
-                             layout="constrained")  # fmt: skip
+    fig, axes = plt.subplots(
+        1, len(studies), figsize=(5.5 * len(studies), 3.6), layout="constrained"
+    )
     for axis, (name, found) in zip(np.atleast_1d(axes), studies.items(), strict=True):
         mean, spread = found.returns.mean(axis=1), found.returns.std(axis=1, ddof=1)
         half = stats.t.ppf(0.975, len(SEEDS) - 1) * spread / np.sqrt(len(SEEDS))
         axis.fill_between(found.episodes, mean - half, mean + half, alpha=0.25, lw=0)
         axis.plot(found.episodes, mean, lw=1.4, label=f"PPO, mean of {len(SEEDS)} seeds")
         axis.axhline(found.best, color="black", ls="--", lw=1, label="optimum (Viterbi)")
-        axis.set(xlabel="episodes of 200 steps", ylabel="return of an episode",
-                 title=f"preset {name}")  # fmt: skip
+        axis.set(
+            xlabel="episodes of 200 steps", ylabel="return of an episode", title=f"preset {name}"
+        )
         axis.grid(alpha=0.3)
         axis.legend(loc="lower right")
     fig.savefig(path, dpi=110)

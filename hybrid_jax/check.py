@@ -6,8 +6,8 @@ from pathlib import Path
 
 import tyro
 
-from hybrid_jax.progress import working
-from hybrid_jax.terminal import answer, run_main
+from hybrid_jax.runtime.progress import working
+from hybrid_jax.runtime.terminal import answer, run_main
 
 
 def main(
@@ -31,36 +31,40 @@ def main(
         quiet: print the answer only.
         json: print the answer as JSON.
     """
-    from hybrid_jax.workcell.assets import find_workcell  # noqa: PLC0415
-    from hybrid_jax.workcell.diagnosis import WRONG, diagnose  # noqa: PLC0415
-    from hybrid_jax.workcell.load import load_workcell  # noqa: PLC0415
+    from hybrid_jax.workcell.assets import find_workcell
+    from hybrid_jax.workcell.diagnosis import WRONG, diagnose
+    from hybrid_jax.workcell.load import load_workcell
 
     path = find_workcell(cell)
     with working("check", "looking the model over", quiet):
-        found = diagnose(path, tool=tool, package_paths=package_path)
-        last = []
-        if all(finding.level != WRONG for finding in found):
+        diagnosis = diagnose(path, tool=tool, package_paths=package_path)
+        sentences = []
+        if all(finding.level != WRONG for finding in diagnosis):
             loaded = load_workcell(path, tool=tool, package_paths=package_path)
-            wrong, last = look_at_home(loaded)
-            found = [*wrong, *found]
-        fit = all(finding.level != WRONG for finding in found)
-    rows = [(finding.level, finding.text) for finding in found]
+            home_findings, sentences = look_at_home(loaded)
+            diagnosis = [*home_findings, *diagnosis]
+        fit = all(finding.level != WRONG for finding in diagnosis)
+    rows = [(finding.level, finding.text) for finding in diagnosis]
     if fit and tasks:
         fit, doubts, sentence = plan_tasks(loaded, tasks, skills, quiet)
-        rows, last = rows + doubts, [*last, sentence]
-    text = "\n".join([*(f"{level:9s} {line}" for level, line in rows), *last])
+        rows, sentences = rows + doubts, [*sentences, sentence]
+    text = "\n".join([*(f"{level:9s} {line}" for level, line in rows), *sentences])
     findings = [{"level": level, "text": line} for level, line in rows]
-    answer(text, {"fit": fit, "findings": findings, "summary": last}, json)
+    answer(text, {"fit": fit, "findings": findings, "summary": sentences}, json)
     return 0 if fit else 1
 
 
 def look_at_home(cell) -> tuple[list, list[str]]:
-    """What the kernels find wrong with a cell at home; what the package sees in it, in a line."""
-    from hybrid_jax.kernels.collision import clearance  # noqa: PLC0415
-    from hybrid_jax.kernels.distance import FAR  # noqa: PLC0415
-    from hybrid_jax.workcell.diagnosis import DOUBTFUL, WRONG, Finding  # noqa: PLC0415
+    """Check a cell at home with the kernels.
 
-    gap, found = float(clearance(cell, cell.home)), []
+    Returns:
+        Findings, and a sentence about the contents of the cell; no sentence if it collides.
+    """
+    from hybrid_jax.kernels.collision.clearance import clearance
+    from hybrid_jax.kernels.collision.distance import FAR
+    from hybrid_jax.workcell.diagnosis import DOUBTFUL, WRONG, Finding
+
+    gap, findings = float(clearance(cell, cell.home)), []
     if gap < 0:
         text = (
             f"the home configuration collides: the kernels' primitives overlap by "
@@ -69,20 +73,20 @@ def look_at_home(cell) -> tuple[list, list[str]]:
         )
         return [Finding(WRONG, text)], []
     if gap >= FAR / 2:
-        found = [Finding(DOUBTFUL, "there is nothing in the cell that the arm could touch")]
-        told = "nothing to touch"
+        findings = [Finding(DOUBTFUL, "there is nothing in the cell that the arm could touch")]
+        note = "nothing to touch"
     else:
-        told = f"clearance at home {1e3 * gap:.0f} mm"
+        note = f"clearance at home {1e3 * gap:.0f} mm"
     line = (
         f"fit to plan in: {len(cell.joint_names)} joints, tool {_tool(cell)}, "
         f"{cell.robot.shapes.count} primitives of the robot, {cell.fixtures.count} of fixtures, "
-        f"{cell.objects.count} of its {len(cell.source.layout.object_names)} objects; {told}"
+        f"{cell.objects.count} of its {len(cell.source.layout.object_names)} objects; {note}"
     )
-    return found, [line]
+    return findings, [line]
 
 
 def _tool(cell) -> str:
-    """The tool's site, and the body that it is on."""
+    """Name of the tool's site, and of the body that it is on."""
     site = cell.model.site(cell.source.layout.tool_site)
     return f"{site.name!r} on {cell.model.body(int(site.bodyid[0])).name!r}"
 
@@ -93,37 +97,37 @@ def plan_tasks(
     """Plan random tasks with skills and RRT-Connect.
 
     Returns:
-        Have all of them a plan? A finding for each that has none, and a sentence.
+        Whether all of them have a plan, a finding for each that has none, and a sentence.
     """
-    from dataclasses import replace  # noqa: PLC0415
+    from dataclasses import replace
 
-    import jax  # noqa: PLC0415
+    import jax
 
-    from hybrid_jax.planner.lfd import optimal_chooser  # noqa: PLC0415
-    from hybrid_jax.planner.loading import optimal_switcher, read_library  # noqa: PLC0415
-    from hybrid_jax.planner.pipeline import plan_batch  # noqa: PLC0415
-    from hybrid_jax.planner.records import Planner  # noqa: PLC0415
-    from hybrid_jax.presets import DEFAULT  # noqa: PLC0415
-    from hybrid_jax.skills.tasks import random_task  # noqa: PLC0415
-    from hybrid_jax.types import Status  # noqa: PLC0415
-    from hybrid_jax.workcell.diagnosis import DOUBTFUL  # noqa: PLC0415
+    from hybrid_jax.planner.lfd import optimal_chooser
+    from hybrid_jax.planner.pipeline import plan_batch
+    from hybrid_jax.planner.records import Planner
+    from hybrid_jax.runs.load_planner import optimal_switcher, read_library
+    from hybrid_jax.runs.presets import DEFAULT
+    from hybrid_jax.tasks.registry import random_task
+    from hybrid_jax.types import Status
+    from hybrid_jax.workcell.diagnosis import DOUBTFUL
 
     # without a map nobody knows what manipulability is usual here
-    labels = replace(DEFAULT.planner.labels, least_manipulability=0.0)
-    config = replace(DEFAULT.planner, labels=labels, quick=None)
+    path_ik = replace(DEFAULT.planner.path_ik, least_manipulability=0.0)
+    config = replace(DEFAULT.planner, path_ik=path_ik, quick_path_ik=None)
     switch = optimal_switcher(DEFAULT.switch)
     planner = Planner(cell, read_library(skills), optimal_chooser, None, switch, 1.0, config)
-    some = [random_task(cell, seed) for seed in range(count)]
+    problems = [random_task(cell, seed) for seed in range(count)]
     with working("check", f"planning {count} tasks (a first time also compiles)", quiet):
-        results = plan_batch(planner, some, key=jax.random.key(0))
-    failed = [(task, r) for task, r in zip(some, results, strict=True) if r.status != Status.OK]
+        results = plan_batch(planner, problems, key=jax.random.key(0))
+    failed = [(task, r) for task, r in zip(problems, results, strict=True) if r.status != Status.OK]
     doubts = [
         (DOUBTFUL, f"task of {task.object_name!r}: {result.status.name}: {result.detail}")
         for task, result in failed
     ]
     causes = Counter(result.status.name for _, result in failed)
-    found = f"{count - len(failed)} of {count} random tasks have a plan"
-    sentence = found + "".join(f"; {cause} {times}" for cause, times in causes.most_common())
+    text = f"{count - len(failed)} of {count} random tasks have a plan"
+    sentence = text + "".join(f"; {cause} {times}" for cause, times in causes.most_common())
     return not failed, doubts, sentence
 
 

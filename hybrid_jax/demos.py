@@ -6,13 +6,13 @@ from typing import Literal
 
 import tyro
 
-from hybrid_jax.skills.demonstration import (
+from hybrid_jax.demonstrations.demonstration import (
     load_demonstration,
     load_demonstrations,
     save_demonstration,
 )
-from hybrid_jax.skills.importing import ImportConfig, read_recording
-from hybrid_jax.terminal import answer, run_subcommands
+from hybrid_jax.demonstrations.importing import ImportConfig, read_recording
+from hybrid_jax.runtime.terminal import answer, run_subcommands
 from hybrid_jax.workcell.assets import demonstrations_folder
 
 
@@ -24,10 +24,15 @@ def list_library(library: Path | None = None, json: bool = False) -> int:
         json: print the list as JSON.
     """
     rows = [
-        {"name": demo.name, "seconds": round(float(demo.times[-1]), 2), "robot": demo.robot,
-         "gripper": "closed" if demo.closed else "open", "note": demo.note}
+        {
+            "name": demo.name,
+            "seconds": round(float(demo.times[-1]), 2),
+            "robot": demo.robot,
+            "gripper": "closed" if demo.closed else "open",
+            "note": demo.note,
+        }
         for demo in load_demonstrations(library or demonstrations_folder())
-    ]  # fmt: skip
+    ]
     width = max(len(row["name"]) for row in rows)
     lines = [
         f"{r['name']:{width}s} {r['seconds']:5.1f} s  {r['gripper']:6s}  {r['robot']}  {r['note']}"
@@ -67,10 +72,10 @@ def split_file(
         file: a demonstration of a library.
         at: where the gripper acts, or where one constant screw ends.
     """
-    from hybrid_jax.skills.cutting import at_gripper_events, at_screws  # noqa: PLC0415
+    from hybrid_jax.demonstrations.splitting import at_gripper_events, at_screws
 
-    cut = at_gripper_events if at == "gripper" else at_screws
-    parts = cut(load_demonstration(file))
+    split = at_gripper_events if at == "gripper" else at_screws
+    parts = split(load_demonstration(file))
     if len(parts) < 2:
         print(f"{file.stem} is one piece: nothing to split")
         return 0
@@ -86,7 +91,7 @@ def draw_library(out: Path, library: Path | None = None) -> int:
         out: folder of the pictures.
         library: folder of demonstrations; the shipped ones if not given.
     """
-    from hybrid_jax.skillpictures import draw_demonstration  # noqa: PLC0415
+    from hybrid_jax.reports.skill_pictures import draw_demonstration
 
     for demo in load_demonstrations(library or demonstrations_folder()):
         print(draw_demonstration(out, demo))

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """What can go wrong on the host. Messages name the offender and what would be right."""
 
-
 LONGEST = 300
 """Characters of a value that a message repeats."""
 

@@ -4,10 +4,10 @@
 from pathlib import Path
 
 from hybrid_jax.errors import InputError
-from hybrid_jax.terminal import answer, remark, run_main
+from hybrid_jax.runtime.terminal import answer, remark, run_main
 
 BLOCK = 50
-"""Runs that are carried out side by side; a study that is killed loses no more than these."""
+"""Runs carried out side by side; a study that is killed loses at most one such block."""
 
 
 def main(
@@ -35,7 +35,7 @@ def main(
         methods: hybrid, lfd, lfd_executed, drl, ompl, disturbed, paper, ablation_...; if none is
             named, those of the cell's study.
         seed: of the first scene; if not given, the study's own, which nothing was tuned on
-            (`hybrid_jax.seeds`).
+            (`hybrid_jax.runs.seeds`).
         paper: folder of a run of preset paper, for method paper; trained into the run's folder
             if not given.
         figures: JSON file for the metrics alone, with command, commit, machine and versions.
@@ -47,25 +47,25 @@ def main(
         raise InputError("say where to write to: --out FILE.json for the study, or --video FILE")
     if runs < 1:
         raise InputError(f"--runs must be at least 1, got {runs}")
-    from hybrid_jax.runfolder import open_run  # noqa: PLC0415
-    from hybrid_jax.studies.choosing import study_of  # noqa: PLC0415
-    from hybrid_jax.studies.contestants import contestant  # noqa: PLC0415
-    from hybrid_jax.studies.measures import as_table  # noqa: PLC0415
+    from hybrid_jax.runs.run_folder import open_run
+    from hybrid_jax.studies.measures import as_table
+    from hybrid_jax.studies.methods import make_method
+    from hybrid_jax.studies.registry import study_of
 
     opened, papers = open_run(run), open_run(paper) if paper else None
     study = study_of(opened.cell)
     first = study.SEEDS.start if seed is None else seed
-    found = [contestant(name, opened, papers) for name in methods or study.METHODS]
-    contestants = [one for one in found if one]
-    if not contestants:
+    candidates = [make_method(name, opened, papers) for name in methods or study.METHODS]
+    compared = [method for method in candidates if method]
+    if not compared:
         raise InputError(f"nothing is left to compare: {', '.join(methods)} cannot run here")
     if video:
-        return film_runs(study, opened, contestants[:2], first, video)
+        return film_runs(study, opened, compared[:2], first, video)
     study.drawn(opened.cell, first, runs)
     seeds = range(first, first + runs)
-    metrics = run_study(study, opened, contestants, seeds, out, quiet, papers)
+    metrics = run_study(study, opened, compared, seeds, out, quiet, papers)
     if figures:
-        from hybrid_jax.provenance import write_figures  # noqa: PLC0415
+        from hybrid_jax.runtime.provenance import write_figures
 
         write_figures(figures, metrics, {"scenes": study.drawn(opened.cell, first, runs)})
     answer(as_table(metrics), metrics, json)
@@ -73,25 +73,40 @@ def main(
 
 
 def run_study(
-    study, opened, contestants, seeds: range, out: Path, quiet: bool, papers=None
+    study, opened, compared, seeds: range, out: Path, quiet: bool, papers=None
 ) -> list[dict]:
-    """All methods, one after the other, in blocks of runs; what is done is kept after each.
+    """Run a study: all methods, one after the other, in blocks of runs.
 
-    One that was killed goes on with the runs that it lacks.
+    Results are kept after each block; a study that was killed goes on with the runs that it lacks.
+
+    Args:
+        study: module of the study.
+        opened: run whose planner is compared.
+        compared: methods.
+        seeds: of the scenes.
+        out: JSON file to write.
+        quiet: show no progress.
+        papers: run of preset `paper`, if one was given.
+
+    Returns:
+        Rows of metrics.
     """
-    from hybrid_jax.export import write_json  # noqa: PLC0415
-    from hybrid_jax.provenance import commit  # noqa: PLC0415
-    from hybrid_jax.studies.journal import Journal  # noqa: PLC0415
+    from hybrid_jax.export import write_json
+    from hybrid_jax.runtime.provenance import commit
+    from hybrid_jax.studies.journal import Journal
 
     about = {
-        "run": str(opened.folder.resolve()), "cell": opened.cell.source.digest,
+        "run": str(opened.folder.resolve()),
+        "cell": opened.cell.source.digest,
         "paper": str(papers.folder.resolve()) if papers else None,
-        "first": seeds.start, "runs": len(seeds), "commit": commit(),
-    }  # fmt: skip
+        "first": seeds.start,
+        "runs": len(seeds),
+        "commit": commit(),
+    }
     journal = Journal(out.with_suffix(".progress"), about)
     try:
-        for one in contestants:
-            run_blocks(study, opened, one, seeds, out, journal, quiet)
+        for method in compared:
+            run_blocks(study, opened, method, seeds, out, journal, quiet)
             metrics = study.summarize(journal.rows, journal.seconds) + study.learning(opened)
             write_json(out, {"metrics": metrics, "runs": journal.rows})
         study.draw(out.with_suffix(".png"), journal.rows, opened)
@@ -104,20 +119,20 @@ def run_study(
 
 
 def run_blocks(study, opened, one, seeds: range, out: Path, journal, quiet: bool) -> None:
-    """The runs of one method that the journal lacks."""
+    """Carry out the runs of one method that the journal lacks, block by block."""
     for first in range(0, len(seeds), BLOCK):
         block = seeds[first : first + BLOCK]
         if not journal.missing(one.name, block):
             continue
-        reports, took = study.run_contestant(opened.cell, one, block, quiet)
+        reports, took = study.run_method(opened.cell, one, block, quiet)
         failed = [report for report in reports if not study.succeeded(report)]
         keep_motions(out.with_suffix(""), one.name, map(study.frames_of, failed))
         journal.add(one.name, block, [study.row_of(one.name, r) for r in reports], took)
 
 
 def keep_motions(folder: Path, method: str, motions) -> None:
-    """Record named motions, `[frame, nq]`; those that are none are left out."""
-    import numpy as np  # noqa: PLC0415
+    """Save named motions `[frame, nq]`; those of one frame or none are left out."""
+    import numpy as np
 
     for name, frames in motions:
         if len(frames) > 1:
@@ -125,17 +140,17 @@ def keep_motions(folder: Path, method: str, motions) -> None:
             np.savez_compressed(folder / f"{method}-{name}.npz", frames=frames)
 
 
-def film_runs(study, opened, contestants, seed: int, video: Path) -> int:
-    """Two methods on one scene, side by side."""
-    from hybrid_jax import film  # noqa: PLC0415
+def film_runs(study, opened, compared, seed: int, video: Path) -> int:
+    """Film two methods on one scene, side by side; returns the exit code."""
+    from hybrid_jax.reports import film
 
     films = {}
-    for one in contestants:
-        report = study.run_contestant(opened.cell, one, [seed])[0][0]
-        name = f"{one.name}: {study.title(report)}"
+    for method in compared:
+        report = study.run_method(opened.cell, method, [seed])[0][0]
+        name = f"{method.name}: {study.title(report)}"
         films[name] = film.render(opened.cell.model, study.frames_of(report)[1])
         for line in study.lines(report):
-            remark(f"{one.name:9s} {line}")
+            remark(f"{method.name:9s} {line}")
     if not all(films.values()):
         return 1
     video.parent.mkdir(parents=True, exist_ok=True)

@@ -9,12 +9,12 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, PRNGKeyArray
 
-from hybrid_jax.kernels.collision import clearance
-from hybrid_jax.kernels.descent import descend
-from hybrid_jax.kernels.inputs import checks, configuration
-from hybrid_jax.kernels.inputs import pose as pose_input
+from hybrid_jax.kernels.argument_checks import checks, configuration
+from hybrid_jax.kernels.argument_checks import pose as pose_input
+from hybrid_jax.kernels.collision.clearance import clearance
+from hybrid_jax.kernels.damped_least_squares import descend
 from hybrid_jax.kernels.kinematics import jacobian
-from hybrid_jax.types import KinematicChain, Workcell, pytree
+from hybrid_jax.types import KinematicChain, Record, Workcell, pytree
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class IkConfig:
     iterations: int = 40
     """Steps of damped least squares from each seed."""
     max_step: float = 0.4
-    """Largest change of a joint in one step [rad]."""
+    """Largest change of a joint in one step [rad or m]."""
     damping: float = 1e-4
     """Damping at a solution; it grows with the error."""
     position_tolerance: float = 1e-3
@@ -47,19 +47,19 @@ class IkConfig:
 
 
 @pytree
-class IkResult:
+class IkResult(Record):
     """The best solution, and what every seed ended in."""
 
     q: Array
-    """`[joint]` solution nearest to the reference; the closest approach where none was found."""
+    """`[joint]` the chosen solution, or the closest approach where none was found [rad or m]."""
     found: Array
-    """True where `q` meets both tolerances."""
+    """`[]` True where `q` meets both tolerances."""
     position_error: Array
-    """Of `q` [m]."""
+    """`[]` position error of `q` [m]."""
     rotation_error: Array
-    """Of `q` [rad]."""
+    """`[]` rotation error of `q` [rad]."""
     branches: Array
-    """`[seed, joint]` end of every seed."""
+    """`[seed, joint]` configuration that every seed ended in [rad or m]."""
     branch_found: Array
     """`[seed]` True where that end is a solution."""
     branch_distinct: Array
@@ -69,46 +69,47 @@ class IkResult:
 def random_configurations(
     chain: KinematicChain, count: int, key: PRNGKeyArray
 ) -> Float[Array, "count n"]:
-    """Uniform configurations within the limits; the key is consumed."""
+    """Uniform configurations `[count, joint]` within the limits [rad or m]; consumes the key."""
     low, high = chain.limits.T
     return jax.random.uniform(key, (count, low.size), low.dtype, low, high)
 
 
 def _unwind(chain: KinematicChain, q: Array, reference: Array) -> Array:
-    """Add whole turns to hinges so that they come nearest to the reference, within limits."""
-    turned = q + chain.hinge * 2 * jnp.pi * jnp.round((reference - q) / (2 * jnp.pi))
-    inside = (turned >= chain.limits[:, 0]) & (turned <= chain.limits[:, 1])
-    return jnp.where(inside, turned, q)
+    """Add whole turns to hinges so that `q` `[joint]` comes nearest to the reference in limits."""
+    unwound = q + chain.hinge * 2 * jnp.pi * jnp.round((reference - q) / (2 * jnp.pi))
+    inside = (unwound >= chain.limits[:, 0]) & (unwound <= chain.limits[:, 1])
+    return jnp.where(inside, unwound, q)
 
 
 def _meets(error: Float[Array, "*b 6"], config: IkConfig) -> tuple[Array, Array, Array]:
-    """Is it a solution, and its position and rotation error."""
+    """Whether errors meet the tolerances, and their norms: position [m], rotation [rad]; `[*b]`."""
     position = jnp.linalg.norm(error[..., :3], axis=-1)
     rotation = jnp.linalg.norm(error[..., 3:], axis=-1)
-    found = (position <= config.position_tolerance) & (rotation <= config.rotation_tolerance)
-    return found, position, rotation
+    solved = (position <= config.position_tolerance) & (rotation <= config.rotation_tolerance)
+    return solved, position, rotation
 
 
 def _distinct(q: Float[Array, "seed n"], found: Array, apart: float) -> Array:
-    """True for solutions that no earlier solution resembles."""
-    near = jnp.max(jnp.abs(q[:, None] - q[None]), axis=-1) <= apart
-    return found & ~jnp.any(jnp.tril(near, -1) & found[None], axis=1)
+    """True `[seed]` for solutions that no earlier solution resembles."""
+    similar = jnp.max(jnp.abs(q[:, None] - q[None]), axis=-1) <= apart
+    return found & ~jnp.any(jnp.tril(similar, -1) & found[None], axis=1)
 
 
 def _push_away(cell: Workcell, pose: Array, q: Array, config: IkConfig) -> tuple[Array, Array]:
-    """Move along the self-motion of the arm, up the slope of the clearance; and the pose error.
+    """Configuration and pose error after self-motion of the arm, up the slope of the clearance.
 
-    Each step aims at the wanted clearance, less what would move the tool, and lands on the pose
-    again with two steps of damped least squares.
+    Each step aims at the clearance that is asked for, less what would move the tool, and lands on
+    the pose again with two steps of damped least squares.
     """
 
     def step(_, q):
         gap, slope = jax.value_and_grad(clearance, argnums=1)(cell, q)
-        short = jnp.clip(config.clearance - gap, 0.0, 0.05)
-        move = slope * short / jnp.maximum(jnp.sum(slope * slope), 1e-6)
-        j = jacobian(cell, q)
-        tool = jnp.linalg.solve(j @ j.T + 1e-4 * jnp.eye(6), j @ move)
-        move = jnp.clip(move - j.T @ tool, -config.max_step, config.max_step)
+        missing = jnp.clip(config.clearance - gap, 0.0, 0.05)
+        move = slope * missing / jnp.maximum(jnp.sum(slope * slope), 1e-6)
+        # the part of the step that would move the tool is taken out
+        jac = jacobian(cell, q)
+        multipliers = jnp.linalg.solve(jac @ jac.T + 1e-4 * jnp.eye(6), jac @ move)
+        move = jnp.clip(move - jac.T @ multipliers, -config.max_step, config.max_step)
         return descend(cell.chain, pose, q + move, 2, config.max_step, config.damping)[0]
 
     q = jax.lax.fori_loop(0, config.push_steps, step, q)
@@ -120,7 +121,7 @@ def _push_away(cell: Workcell, pose: Array, q: Array, config: IkConfig) -> tuple
 def solve_ik(
     cell: Workcell,
     pose: Float[Array, "8"],
-    reference: Float[Array, "n"] | None = None,
+    reference: Float[Array, " n"] | None = None,
     config: IkConfig = IkConfig(),
     *,
     key: PRNGKeyArray,
@@ -129,14 +130,15 @@ def solve_ik(
 
     Args:
         cell: the robot; its collisions count if `config.clearance` is given.
-        pose: `[8]` wanted tool pose in the world, unit dual quaternion.
-        reference: `[joint]` first seed (a warm start), and what the chosen solution is nearest to;
-            the cell's home if None.
+        pose: `[8]` target pose of the tool in the world, unit dual quaternion.
+        reference: `[joint]` first seed (a warm start), and what the chosen solution is nearest to
+            [rad or m]; the cell's home if None.
         config: static settings.
         key: draws the other seeds; consumed.
 
     Returns:
-        Solutions `[seed, joint]` [rad] with errors [m, rad] and clearances [m], and the one to use.
+        What every seed ended in, `[seed, joint]` [rad or m], which of these are solutions, and the
+        one to use `[joint]` with its errors [m, rad].
 
     Raises:
         InputError: `pose` is no rigid pose, or `reference` no configuration of the arm.
@@ -147,29 +149,31 @@ def solve_ik(
     seeds = jnp.concatenate([reference[None], random])
     settings = (config.iterations, config.max_step, config.damping)
     q, error = jax.vmap(lambda seed: descend(chain, pose, seed, *settings))(seeds)
-    gap = jnp.zeros(config.seeds)
+    margin = jnp.zeros(config.seeds)
     if config.clearance is not None:
-        moved, moved_error = jax.vmap(lambda one: _push_away(cell, pose, one, config))(q)
-        gaps = jax.vmap(jax.vmap(clearance, (None, 0)), (None, 0))(cell, jnp.stack([q, moved]))
-        better = _meets(moved_error, config)[0] & (gaps[1] > gaps[0])
+        pushed, pushed_error = jax.vmap(lambda end: _push_away(cell, pose, end, config))(q)
+        gaps = jax.vmap(jax.vmap(clearance, (None, 0)), (None, 0))(cell, jnp.stack([q, pushed]))
+        better = _meets(pushed_error, config)[0] & (gaps[1] > gaps[0])
         q, error = (
-            jnp.where(better[:, None], new, old) for new, old in ((moved, q), (moved_error, error))
+            jnp.where(better[:, None], new, old)
+            for new, old in ((pushed, q), (pushed_error, error))
         )
-        gap = jnp.minimum(jnp.where(better, gaps[1], gaps[0]) - config.clearance, 0.0)
+        margin = jnp.minimum(jnp.where(better, gaps[1], gaps[0]) - config.clearance, 0.0)
     q = jax.vmap(_unwind, (None, 0, None))(chain, q, reference)
-    found, position, rotation = _meets(error, config)
-    away = jnp.max(jnp.abs(q - reference), axis=-1)
-    # first the pose, then the clearance that is missing, then the distance from the reference
-    score = jnp.where(found, away - 1e3 * gap, 1e6 + position + 0.3 * rotation)
-    best = jnp.argmin(score)
+    solved, position, rotation = _meets(error, config)
+    deviation = jnp.max(jnp.abs(q - reference), axis=-1)
+    # of the solutions the one with the most of its clearance, then the one nearest to the reference
+    chosen = jnp.argmin(jnp.where(solved, deviation - 1e3 * margin, jnp.inf))
+    closest = jnp.argmin(position + 0.3 * rotation)
+    best = jnp.where(jnp.any(solved), chosen, closest)
     return IkResult(
         q=q[best],
-        found=found[best],
+        found=solved[best],
         position_error=position[best],
         rotation_error=rotation[best],
         branches=q,
-        branch_found=found,
-        branch_distinct=_distinct(q, found, config.distinct),
+        branch_found=solved,
+        branch_distinct=_distinct(q, solved, config.distinct),
     )
 
 
@@ -177,14 +181,20 @@ def solve_ik(
 def track_poses(
     cell: Workcell,
     poses: Float[Array, "point 8"],
-    start: Float[Array, "n"],
+    start: Float[Array, " n"],
     config: IkConfig = IkConfig(iterations=12),
 ) -> tuple[Array, Array]:
-    """Follow a path of poses from a configuration on one branch, each point warm-started.
+    """Follow a path of poses on one branch: every point starts from the solution before it.
+
+    Args:
+        cell: the robot; collisions do not count.
+        poses: `[point, 8]` target poses of the tool in the world, unit dual quaternions.
+        start: `[joint]` configuration before the first point [rad or m].
+        config: static settings; one seed is used.
 
     Returns:
-        Configurations `[point, joint]` and whether each meets the tolerances `[point]`. After a
-        point that is out of reach the motion goes on from the closest approach.
+        Configurations `[point, joint]` [rad or m], and whether each meets the tolerances
+        `[point]`. After a point that is out of reach the motion goes on from the closest approach.
     """
 
     def step(q, pose):

@@ -3,7 +3,7 @@
 
 from pathlib import Path
 
-from hybrid_jax.terminal import answer, run_main
+from hybrid_jax.runtime.terminal import answer, run_main
 
 
 def main(
@@ -20,23 +20,23 @@ def main(
         quiet: print the answer only.
         json: print the answer as JSON.
     """
-    from hybrid_jax.export.files import refuse_ending, write_plan  # noqa: PLC0415
+    from hybrid_jax.export.files import refuse_ending, write_plan
 
     refuse_ending(out)
-    import jax  # noqa: PLC0415
+    import jax
 
-    from hybrid_jax.planner.loading import load_planner  # noqa: PLC0415
-    from hybrid_jax.planner.pipeline import plan_motion  # noqa: PLC0415
-    from hybrid_jax.progress import working  # noqa: PLC0415
-    from hybrid_jax.runfolder import open_run  # noqa: PLC0415
-    from hybrid_jax.skills.tasks import read_task  # noqa: PLC0415
-    from hybrid_jax.types import Status  # noqa: PLC0415
+    from hybrid_jax.planner.pipeline import plan_motion
+    from hybrid_jax.runs.load_planner import load_planner
+    from hybrid_jax.runs.run_folder import open_run
+    from hybrid_jax.runtime.progress import working
+    from hybrid_jax.tasks.registry import read_task
+    from hybrid_jax.types import Status
 
     opened = open_run(run)
-    wanted, planner = read_task(opened.cell, task), load_planner(opened)
+    problem, planner = read_task(opened.cell, task), load_planner(opened)
     with working("plan", "planning (a first time also compiles)", quiet):
-        result = plan_motion(planner, wanted, key=jax.random.key(seed))
-    write_plan(out, opened.cell, wanted, result)
+        result = plan_motion(planner, problem, key=jax.random.key(seed))
+    write_plan(out, opened.cell, problem, result)
     seconds = round(sum(float(t.times[-1]) for t in result.phases), 3)
     values = {
         "status": result.status.name,

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Train a cell: `python -m hybrid_jax.train [STAGE ...] [--workcell NAME] [--resume]`."""
 
+import functools
+import inspect
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -9,74 +12,138 @@ from typing import Annotated
 import tyro
 
 from hybrid_jax.errors import UnknownNameError
-from hybrid_jax.terminal import STOPPED, answer, remark, run_main
+from hybrid_jax.runtime.terminal import STOPPED, answer, called_as, remark, run_cli
 
 
 def main(
     stages: Annotated[tuple[str, ...], tyro.conf.Positional] = (),
     /,
     workcell: str = "",
-    preset: str = "default",
-    seed: int = 0,
+    preset: str = "",
+    config: Path | None = None,
+    seed: int | None = None,
     out: Path | None = None,
     skills: Path | None = None,
     tool: str = "",
     package_path: tuple[Path, ...] = (),
     resume: bool = False,
+    show_settings: bool = False,
     tensorboard: bool = False,
     quiet: bool = False,
     json: bool = False,
+    settings: tyro.conf.Suppress[tuple[str, ...]] = (),
 ) -> int:
     """Feasibility map, three agents, and a planned and executed demonstration.
+
+    Every setting of the preset is an option too: `--joint.training.steps 500000`.
 
     Args:
         stages: map lfd drl switch demo; all of them if none is named.
         workcell: name of a shipped cell, or an MJCF or URDF file; the handling cell if not given.
-        preset: default, paper or smoke.
-        seed: of everything random.
+        preset: default, paper or smoke; default if not given.
+        config: JSON file with settings that differ from the preset's, or a run's config.json.
+        seed: of everything random; 0 if not given.
         out: folder of the run; runs/CELL-NNN if not given.
         skills: folder of demonstrations to plan with; the shipped ones if not given.
         tool: site or link that is the tool, where the model does not tell.
         package_path: folders that hold the ROS packages of a URDF's meshes.
         resume: go on with the run in --out, or with the newest run of the cell.
+        show_settings: print all settings as a file for --config, and do nothing else.
         tensorboard: write the metrics for TensorBoard as well, into RUN/tensorboard.
         quiet: print the summary only.
         json: print the summary as JSON.
+        settings: options of the command line that are settings of the preset.
     """
     # JAX is imported only now: --help and a mistyped name answer at once
-    from hybrid_jax import runfolder  # noqa: PLC0415
-    from hybrid_jax.devices import use_all_cores  # noqa: PLC0415
-    from hybrid_jax.workcell.assets import default_workcell  # noqa: PLC0415
+    from hybrid_jax.runs import own_settings, run_folder
+    from hybrid_jax.runtime.devices import use_all_cores
+    from hybrid_jax.workcell.assets import default_workcell
 
+    for stage in stages:
+        if stage not in run_folder.STAGES:
+            raise UnknownNameError("stage", stage, run_folder.STAGES)
+    preset_name = preset or "default"
+    base = own_settings.find_preset(preset_name)
+    if show_settings:
+        effective = own_settings.changed(base, config, settings)
+        answer(own_settings.as_file(effective), own_settings.as_values(effective), json)
+        return 0
     use_all_cores()
     workcell = workcell or default_workcell()
-    for stage in stages:
-        if stage not in runfolder.STAGES:
-            raise UnknownNameError("stage", stage, runfolder.STAGES)
-    run = (
-        runfolder.open_run(out, workcell)
-        if resume
-        else runfolder.create_run(workcell, preset, seed, out, skills, tool, package_path)
-    )
+    if resume:
+        run = run_folder.open_run(out, workcell)
+        requested = {
+            "preset_name": preset or None,
+            "seed": seed,
+            "skills": skills and skills.resolve(),
+            "tool": tool or None,
+            "package_paths": tuple(path.resolve() for path in package_path) or None,
+        }
+        own_settings.refuse_other_settings(run, requested, config, settings)
+    else:
+        effective = own_settings.changed(base, config, settings)
+        run = run_folder.create_run(
+            workcell, preset_name, seed or 0, out, skills, tool, package_path, effective
+        )
     if not quiet:
         remark(f"run folder: {run.folder}")
     if tensorboard:
-        from hybrid_jax.tensorboard import board  # noqa: PLC0415
+        from hybrid_jax.reports.tensorboard import board
 
         run = replace(run, listener=board(run.path("tensorboard")))
-    wanted = stages or [s for s in runfolder.STAGES if not (resume and run.finished(s))]
-    rows = run_stages(run, [s for s in runfolder.STAGES if s in wanted], quiet)
+    selected = stages or [s for s in run_folder.STAGES if not (resume and run.finished(s))]
+    rows = run_stages(run, [s for s in run_folder.STAGES if s in selected], quiet)
     answer(summary(rows), {"run": str(run.folder), "stages": rows}, json)
     return STOPPED if rows and rows[-1].get("stopped") else 0
 
 
+def split_settings(arguments: list[str]) -> tuple[list[str], tuple[str, ...]]:
+    """Split a command line into arguments of `main` and settings of the preset.
+
+    Values stand after their option, so they go where it went.
+    """
+    options = {name.replace("_", "-") for name in inspect.signature(main).parameters} | {"help"}
+    plain, settings, destination = [], [], None
+    for argument in arguments:
+        if argument.startswith("--"):
+            name = argument[2:].partition("=")[0].replace("_", "-")
+            destination = plain if name in options or not _is_setting(name) else settings
+        elif argument == "-h":
+            destination = plain
+        (plain if destination is None else destination).append(argument)
+    return plain, tuple(settings)
+
+
+def _is_setting(name: str) -> bool:
+    """Does an option name a setting? One with a dot is meant to, right or wrong."""
+    if "." in name:
+        return True
+    from hybrid_jax.runs.presets import Preset
+
+    return name.replace("-", "_") in Preset.__dataclass_fields__
+
+
+def command(arguments: list[str] | None = None) -> int:
+    """Call `main` with arguments of a terminal, those of this process if None."""
+    plain, settings = split_settings(sys.argv[1:] if arguments is None else arguments)
+    return tyro.cli(
+        functools.partial(main, settings=settings),
+        args=plain,
+        prog=called_as(),
+        config=(tyro.conf.FlagCreatePairsOff,),
+    )
+
+
 def run_stages(run, stages: list[str], quiet: bool) -> list[dict]:
-    """Run stages in order; one row for each. Ctrl-C ends them with a row that says so."""
+    """Run stages in order, and return one summary row for each.
+
+    Ctrl-C ends them; the last row then has the entry `stopped`.
+    """
     rows = []
     for stage in stages:
-        began = time.perf_counter()
+        start = time.perf_counter()
         try:  # the run exists, and Ctrl-C may fall into this import: it takes half a second
-            from hybrid_jax.stages import STAGE_FUNCTIONS  # noqa: PLC0415
+            from hybrid_jax.runs.stages import STAGE_FUNCTIONS
 
             result = STAGE_FUNCTIONS[stage](run, quiet)
         except KeyboardInterrupt:
@@ -85,14 +152,14 @@ def run_stages(run, stages: list[str], quiet: bool) -> list[dict]:
                 f"--out {run.folder}"
             )
             result = {"stopped": True}
-        rows.append({"stage": stage, "seconds": round(time.perf_counter() - began, 1), **result})
+        rows.append({"stage": stage, "seconds": round(time.perf_counter() - start, 1), **result})
         if "stopped" in result:
             break
     return rows
 
 
 def summary(rows: list[dict]) -> str:
-    """One line a stage."""
+    """Summary rows as text, one line a stage."""
     lines = ["stage    time [s]  result"]
     for row in rows:
         named = (f"{k.replace('_', ' ')} {v}" for k, v in row.items() if k not in _FIRST)
@@ -103,4 +170,4 @@ def summary(rows: list[dict]) -> str:
 _FIRST = ("stage", "seconds")
 
 if __name__ == "__main__":
-    run_main(main)
+    run_cli(command)

@@ -15,6 +15,8 @@ from flax import struct
 from jax import Array
 
 T = TypeVar("T")
+AnyArray = Array | np.ndarray
+"""Numbers on a device or on the host."""
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(struct.field,))
@@ -27,8 +29,16 @@ def pytree(cls: type[T]) -> type[T]:
     return no_type_check(struct.dataclass(cls))
 
 
+class Record:
+    """Base of the classes that are `pytree`s."""
+
+    def replace(self: T, **fields) -> T:
+        """The same record with other values of some fields."""
+        raise NotImplementedError(f"{type(self).__name__} is no pytree: {', '.join(fields)}")
+
+
 @pytree
-class KinematicChain:
+class KinematicChain(Record):
     """A serial arm as the kernels read it; fixed bodies are merged into the joint before them."""
 
     base: Array
@@ -52,54 +62,55 @@ class KinematicChain:
 
 
 @pytree
-class Shapes:
+class Shapes(Record):
     """Collision primitives in one frame: boxes swept by a ball.
 
     A capsule is a box without width (half extents `0, 0, l`) and a radius, a sphere one without
-    any extent, a plain box has radius 0. One kind of primitive serves every pair.
+    any extent, a plain box has radius 0. One kind of primitive serves every pair. Arrays may have
+    a batch axis in front of the shapes given here.
     """
 
     pose: Array
     """`[n, 7]` centre [m], quaternion."""
-    half: Array
+    half_extents: Array
     """`[n, 3]` half extents of the box [m]."""
     radius: Array
     """`[n]` radius of the ball [m]."""
-    on: Array
+    active: Array
     """`[n]` 1, or 0 for a slot that is empty: it is at distance `FAR`."""
-    slim: int = struct.field(pytree_node=False)
-    """How many there are of capsules and spheres: they come first."""
-    round: bool = struct.field(pytree_node=False, default=False)
-    """Are all of them spheres?"""
+    capsule_count: int = struct.field(pytree_node=False)
+    """Number of capsules and spheres: they come before the boxes."""
+    all_spheres: bool = struct.field(pytree_node=False, default=False)
+    """Whether every primitive is a sphere."""
 
     @property
     def count(self) -> int:
-        """How many primitives there are."""
+        """Number of primitives, empty slots among them."""
         return self.radius.shape[-1]
 
 
 @pytree
-class RobotShapes:
+class RobotShapes(Record):
     """Primitives of links and fingers; the payload's slots stand in the scene."""
 
     shapes: Shapes
-    """In the frame of the link that carries each, sorted by link within capsules and boxes."""
+    """Each in the frame of the link that carries it, sorted by link within capsules and boxes."""
     stroke: Array
-    """`[n, 3]` displacement per metre of gripper opening (fingers; else 0)."""
+    """`[n, 3]` displacement per metre of gripper opening, in the same frame; 0 but for fingers."""
     link: tuple[int, ...] = struct.field(pytree_node=False)
-    """Joint whose frame carries each."""
+    """Number of the joint whose frame carries each primitive."""
 
 
 @pytree
-class ContactPairs:
+class ContactPairs(Record):
     """Which primitives may touch which: 1 where a pair counts.
 
     Rows are the robot's primitives and the payload's slots in the order of
-    `kernels.primitives.join`, columns the fixtures, then the objects.
+    `kernels.collision.rounded_boxes.join`, columns the fixtures, then the objects.
     """
 
     world: Array
-    """`[row, column]`."""
+    """`[row, column]` robot and payload against fixtures and objects."""
     own: Array
     """`[row, cover]` against the robot's own primitives `cover`; each pair stands once."""
     payload: Array
@@ -109,21 +120,21 @@ class ContactPairs:
 
 
 @pytree
-class Scene:
+class Scene(Record):
     """What changes from task to task without a new trace."""
 
     objects: Shapes
     """Movable objects, in the world."""
     payload: Shapes
-    """The grasped object, in the tool frame; all slots off when nothing is held."""
+    """The grasped object, in the tool frame; all slots are empty when nothing is held."""
     opening: Array
-    """Distance of each finger from the closed position [m]."""
+    """`[]` distance of each finger from its closed position [m]."""
     support_on: Array
     """`[fixture]` 0 where the payload may touch (the surface it is lifted from or put on)."""
 
 
 @pytree
-class Workcell:
+class Workcell(Record):
     """A robot among fixtures and movable objects. Built by `load_workcell`."""
 
     chain: KinematicChain
@@ -139,7 +150,7 @@ class Workcell:
     scene: Scene
     """Objects, payload and opening of the fingers."""
     home: Array
-    """`[joint]` configuration to start from."""
+    """`[joint]` configuration to start from [rad or m]."""
     source: "WorkcellSource" = struct.field(pytree_node=False)
     """The host side of the cell: model, names, task data."""
 
@@ -170,7 +181,7 @@ class Workcell:
 
 
 class WorkcellSource:
-    """Host-side half of a cell. Two loads of one file are equal, so they share compiled code."""
+    """Host-side half of a cell; two loads of one file are equal and so share compiled code."""
 
     def __init__(
         self, *, name, digest, model, layout, task, owners, fixture_bodies, path=None, tool=""
@@ -194,8 +205,10 @@ class WorkcellSource:
 
     @property
     def joint_names(self) -> tuple[str, ...]:
+        """Joints in the order of `q`."""
         return self.layout.joint_names
 
+    # a static field of a pytree: equality and hash decide whether JAX traces anew
     def __eq__(self, other):
         return isinstance(other, WorkcellSource) and self.digest == other.digest
 
@@ -212,16 +225,15 @@ class Status(enum.IntEnum):
     OK = 0
     NEED_DEMO = 1
     TASK_INFEASIBLE = 2
-    DRL_TIMEOUT = 3
+    NO_PATH = 3
     SEAM_FAILED = 4
     COLLISION = 5
     INVALID_TASK = 6
     START_INVALID = 7
-    NO_PATH = 8
 
     @property
     def sentence(self) -> str:
-        """What it means, for people."""
+        """What the status means, in words."""
         return _SENTENCES[self]
 
 
@@ -229,7 +241,6 @@ _SENTENCES = {
     Status.OK: "the trajectory was found and checked",
     Status.NEED_DEMO: "no demonstrated skill is close enough to a part of the task",
     Status.TASK_INFEASIBLE: "a key pose of the task cannot be reached free of collision",
-    Status.DRL_TIMEOUT: "the joint agent found no way around an infeasible part",
     Status.SEAM_FAILED: "the parts do not join into one continuous joint motion",
     Status.COLLISION: "the assembled trajectory failed its final check",
     Status.INVALID_TASK: "the task does not belong to this cell or holds bad numbers",
@@ -246,17 +257,17 @@ class Source(enum.IntEnum):
     DRL = 1
     """The joint agent."""
     RRT = 2
-    """The sampling-based planner, where the joint agent found no way."""
+    """The sampling-based planner, in the place of a joint agent that found no path."""
 
 
 @pytree
-class Trajectory:
+class Trajectory(Record):
     """A timed joint motion of one phase of a task (between two gripper events)."""
 
     times: np.ndarray
     """`[point]` from the start of the phase [s]."""
     positions: np.ndarray
-    """`[point, joint]` [rad or m]."""
+    """`[point, joint]` configurations [rad or m]."""
     velocities: np.ndarray
     """`[point, joint]` [rad/s or m/s]."""
     accelerations: np.ndarray

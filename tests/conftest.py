@@ -21,7 +21,7 @@ os.environ.setdefault(
     "JAX_COMPILATION_CACHE_DIR", str(Path(tempfile.gettempdir()) / "hybrid_jax_test_cache")
 )
 
-from hybrid_jax.compilecache import enable_compile_cache  # noqa: E402
+from hybrid_jax.runtime.compile_cache import enable_compile_cache  # noqa: E402
 
 enable_compile_cache()
 
@@ -75,9 +75,9 @@ def planner(cell):
     from hybrid_jax.agents.switching import SwitchConfig
     from hybrid_jax.planner.bridging import rrt_bridger
     from hybrid_jax.planner.lfd import optimal_chooser
-    from hybrid_jax.planner.loading import optimal_switcher, read_library
     from hybrid_jax.planner.records import Planner
-    from hybrid_jax.rrt import RrtConfig
+    from hybrid_jax.planner.rrt_connect import RrtConfig
+    from hybrid_jax.runs.load_planner import optimal_switcher, read_library
 
     bridge, switch = rrt_bridger(cell, RrtConfig()), optimal_switcher(SwitchConfig())
     return Planner(cell, read_library(), optimal_chooser, bridge, switch, 0.1)
@@ -89,7 +89,7 @@ def planned(planner):
     import jax
 
     from hybrid_jax.planner.pipeline import plan_motion
-    from hybrid_jax.skills.tasks import random_task
+    from hybrid_jax.tasks.registry import random_task
 
     task = random_task(planner.cell, 4)
     return task, plan_motion(planner, task, key=jax.random.key(0))
@@ -131,9 +131,13 @@ def browser():
     options = webdriver.ChromeOptions()
     options.binary_location = chromium
     for flag in (
-        "--headless=new", "--no-sandbox", "--window-size=1000,700", "--use-angle=swiftshader",
-        "--enable-unsafe-swiftshader", "--disable-dev-shm-usage",
-    ):  # fmt: skip
+        "--headless=new",
+        "--no-sandbox",
+        "--window-size=1000,700",
+        "--use-angle=swiftshader",
+        "--enable-unsafe-swiftshader",
+        "--disable-dev-shm-usage",
+    ):
         options.add_argument(flag)
     service = webdriver.ChromeService(executable_path=driver)
     opened = webdriver.Chrome(options=options, service=service)

@@ -42,8 +42,10 @@ def read_json(path) -> Received:
     for event in found["gripper"]:
         assert event["time_from_start"] == points[event["point"]]["time_from_start"]
     assert set(found["joint_units"]) <= {"rad", "m"}
-    columns = [np.array([p[k] for p in points]) for k in
-               ("time_from_start", "positions", "velocities", "accelerations")]  # fmt: skip
+    columns = [
+        np.array([p[k] for p in points])
+        for k in ("time_from_start", "positions", "velocities", "accelerations")
+    ]
     return Received(found["joint_names"], *columns, states)
 
 
@@ -80,22 +82,21 @@ def interpolate(received: Received, rule: str, at: np.ndarray):
     i = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
     h = (t[i + 1] - t[i])[:, None]
     s = (at - t[i])[:, None]
-    (p0, p1), (v0, v1), (a0, a1) = (
-        (c[i], c[i + 1]) for c in (received.q, received.v, received.a)
-    )
+    (p0, p1), (v0, v1), (a0, a1) = ((c[i], c[i + 1]) for c in (received.q, received.v, received.a))
     if rule == "linear":
         c = [p0, (p1 - p0) / h]
     elif rule == "cubic":
-        c = [p0, v0, (3 * (p1 - p0) / h - 2 * v0 - v1) / h,
-             (2 * (p0 - p1) / h + v0 + v1) / h**2]  # fmt: skip
+        c = [p0, v0, (3 * (p1 - p0) / h - 2 * v0 - v1) / h, (2 * (p0 - p1) / h + v0 + v1) / h**2]
     else:
         d = p1 - p0
         c = [
-            p0, v0, a0 / 2,
+            p0,
+            v0,
+            a0 / 2,
             (20 * d - (8 * v1 + 12 * v0) * h - (3 * a0 - a1) * h**2) / (2 * h**3),
             (-30 * d + (14 * v1 + 16 * v0) * h + (3 * a0 - 2 * a1) * h**2) / (2 * h**4),
             (12 * d - 6 * (v1 + v0) * h + (a1 - a0) * h**2) / (2 * h**5),
-        ]  # fmt: skip
+        ]
     found = []
     for order in range(3):
         total = np.zeros_like(p0)

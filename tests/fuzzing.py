@@ -13,28 +13,48 @@ from pathlib import Path
 import numpy as np
 from test_demonstrations import recording, write_bag
 
-from hybrid_jax import artifacts
 from hybrid_jax.agents import joint, networks
+from hybrid_jax.demonstrations.demonstration import load_demonstration
+from hybrid_jax.demonstrations.importing import read_recording
 from hybrid_jax.errors import HybridJaxError
-from hybrid_jax.export.tpreading import read_tp_program
+from hybrid_jax.export.fanuc_tp_reader import read_tp_program
 from hybrid_jax.feasibility.building import build_feasibility_map, load_map, save_map
 from hybrid_jax.feasibility.grid import MapConfig
-from hybrid_jax.planner.loading import load_policy
-from hybrid_jax.presets import PRESETS
-from hybrid_jax.runfolder import Run, read_config
-from hybrid_jax.skills.demonstration import load_demonstration
-from hybrid_jax.skills.importing import read_recording
-from hybrid_jax.skills.tasks import random_task, read_task, task_values
+from hybrid_jax.runs.load_planner import load_policy
+from hybrid_jax.runs.presets import PRESETS, SMOKE, Preset
+from hybrid_jax.runs.run_folder import FORMAT, Run, read_config
+from hybrid_jax.runs.settings import as_values, from_values
+from hybrid_jax.runtime import artifacts
+from hybrid_jax.tasks.registry import random_task, read_task, task_values
 from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.assets import demonstrations_folder, robots_folder
 from hybrid_jax.workcell.description import read_task_data
 from hybrid_jax.workcell.load import load_workcell
 
 WEIRD = (
-    b"nan", b"inf", b"-1", b"0", b"1e999", b"-0.0", b"9" * 40, b"null", b"[]", b"{}", b'""',
-    b"true", b"\x00", b"\xff\xfe", b"..", b"/dev/null", b"'", b'"', b"\n", b"[" * 2000,
-    b"<!--", b"0x10",
-)  # fmt: skip
+    b"nan",
+    b"inf",
+    b"-1",
+    b"0",
+    b"1e999",
+    b"-0.0",
+    b"9" * 40,
+    b"null",
+    b"[]",
+    b"{}",
+    b'""',
+    b"true",
+    b"\x00",
+    b"\xff\xfe",
+    b"..",
+    b"/dev/null",
+    b"'",
+    b'"',
+    b"\n",
+    b"[" * 2000,
+    b"<!--",
+    b"0x10",
+)
 """What numbers and words are replaced by."""
 ARM = """<mujoco><worldbody><geom name="floor" type="plane" size="1 1 .1"/>
 <body name="post" pos=".5 0 .2"><geom type="box" size=".05 .05 .2"/></body>
@@ -78,12 +98,14 @@ def _npz(**arrays) -> bytes:
 
 
 def _config() -> bytes:
-    values = {"workcell": "gen3_handling", "digest": "0" * 64, "preset": "smoke", "seed": 0}
-    return json.dumps(values | {"skills": None, "configuration": {}}).encode()
+    values = {"format": FORMAT, "workcell": "gen3_handling", "digest": "0" * 64, "seed": 0}
+    values |= {"preset": "smoke", "skills": None, "tool": "", "package_paths": []}
+    return json.dumps(values | {"configuration": as_values(SMOKE)}).encode()
 
 
-def _read_config_file(path: Path) -> dict:
-    return read_config(path.rename(path.with_name("config.json")).parent)
+def _read_config_file(path: Path) -> Preset:
+    values = read_config(path.rename(path.with_name("config.json")).parent)
+    return from_values(Preset, values["configuration"], "configuration")
 
 
 def _run_of(path: Path, cell: Workcell) -> Run:
@@ -263,7 +285,7 @@ def attempt(target: Target, data: bytes, folder: Path) -> tuple[str, str]:
             target.read(path)
     except HybridJaxError as error:
         return "refused", f"{type(error).__name__}: {error}"
-    except Exception as error:  # noqa: BLE001  that is what is looked for
+    except Exception as error:
         return "crashed", f"{type(error).__name__}: {error}"
     finally:
         for left in folder.iterdir():

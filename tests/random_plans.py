@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 
-from hybrid_jax.planner.records import PlanResult
+from hybrid_jax.contracts import PlanResult
 from hybrid_jax.planner.timing import TimingConfig, resting, time_parameterize
-from hybrid_jax.skills.task import Task
+from hybrid_jax.tasks.task import Task
 from hybrid_jax.types import Status
 from hybrid_jax.workcell.compile import compile_workcell
 from hybrid_jax.workcell.description import ControllerSpec
@@ -52,9 +52,13 @@ def random_plan(cell, rng: np.random.Generator, phases=None, carries=None):
     stops = () if carries else tuple(range(1, phases))
     low, high = np.asarray(cell.joint_limits, float).T
     task = Task(
-        "thing", np.zeros((0, 7)), np.tile([1.0, 0, 0, 0, 0, 0, 0, 0], (phases + 1, 1)),
-        carrying, np.zeros(len(low)), stops=stops,
-    )  # fmt: skip
+        "thing",
+        np.zeros((0, 7)),
+        np.tile([1.0, 0, 0, 0, 0, 0, 0, 0], (phases + 1, 1)),
+        carrying,
+        np.zeros(len(low)),
+        stops=stops,
+    )
     config = TimingConfig(speed=rng.uniform(0.3, 1.0), acceleration=rng.uniform(0.2, 1.0))
     middle, width = (low + high) / 2, (high - low) / 2
     at, paths, still = middle + 0.5 * width * rng.uniform(-1, 1, len(low)), [], {}

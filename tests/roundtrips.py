@@ -88,8 +88,9 @@ def table_departures(cell, wanted: Wanted, received, rng) -> Departures:
     at = np.concatenate([rng.uniform(0, received.times[-1], 400), *inside])
     tool = Tool(cell.model, layout.qpos, layout.tool_site)
     truth = tool(wanted.at(at))
-    speed, rate = (np.asarray(a) * SLACK for a in
-                   (cell.velocity_limits, cell.chain.acceleration_limits))  # fmt: skip
+    speed, rate = (
+        np.asarray(a) * SLACK for a in (cell.velocity_limits, cell.chain.acceleration_limits)
+    )
     for rule in RULES:
         q, velocity, acceleration = interpolate(received, rule, at)
         found.tool = max(found.tool, np.linalg.norm(tool(q) - truth, axis=1).max())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The agents on toy worlds with known answers, and against exact oracles."""
+"""The agents on toy environments with known answers, and against exact oracles."""
 
 import jax
 import jax.numpy as jnp
@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from brax.training.networks import FeedForwardNetwork
 
-from hybrid_jax.agents import controllers, dqn, networks, ppo, switching, training
-from hybrid_jax.agents.worlds import Move
+from hybrid_jax.agents import dqn, hdqn_networks, networks, ppo, switching, training
+from hybrid_jax.contracts import STEPS, Combined
+from hybrid_jax.envs.base import StepResult
 from hybrid_jax.errors import TrainingError
 from hybrid_jax.skills.costs import MAX_KEY_POSES, SegmentCosts
 from hybrid_jax.skills.library import MAX_SKILLS
-from hybrid_jax.skills.segmentation import optimal_costs
+from hybrid_jax.skills.task_segmentation import optimal_costs
 
 
 class Track:
@@ -24,14 +25,14 @@ class Track:
         self.discrete, self.broken = discrete, broken
         self.action_size = 2 if discrete else 1
 
-    def begin(self, key):
+    def reset(self, key):
         x = jax.random.uniform(key, (), jnp.float32, -1.0, 1.0)
         return {"x": x, "count": jnp.float32(0)}
 
     def observe(self, state):
         return state["x"][None]
 
-    def overdue(self, state):
+    def truncated(self, state):
         return state["count"] >= 20
 
     def step(self, state, action):
@@ -41,15 +42,15 @@ class Track:
         reached = jnp.abs(x_new) < 0.1
         reward = jnp.abs(x) - jnp.abs(x_new) - 0.02 + reached
         reward = jnp.where(self.broken, jnp.nan, reward)
-        return Move({"x": x_new, "count": state["count"] + 1}, reward, reached, reached, {})
+        return StepResult({"x": x_new, "count": state["count"] + 1}, reward, reached, reached, {})
 
 
 SMALL = ppo.PpoConfig(steps=40_000, envs=32, unroll=16, minibatch=128, hidden=(32,))
 
 
-def small_training(world, config=SMALL, **options):
-    net = networks.make_networks(1, world.action_size, config.hidden, world.discrete)
-    return training.train(world, net, config, **options)
+def small_training(env, config=SMALL, **options):
+    net = networks.make_networks(1, env.action_size, config.hidden, env.discrete)
+    return training.train(env, net, config, **options)
 
 
 def assert_same(first, second):
@@ -147,7 +148,7 @@ def toy_training():
 
 def greedy(params, tasks):
     nets = dqn.make_controllers(TOY_DQN)
-    return jax.device_get(jax.jit(lambda p: controllers.greedy_plans(nets, p, tasks))(params))
+    return jax.device_get(jax.jit(lambda p: hdqn_networks.greedy_plans(nets, p, tasks))(params))
 
 
 def test_hierarchical_dqn_plans_unseen_tasks_almost_as_well_as_the_shortest_path(toy_training):
@@ -165,9 +166,9 @@ def test_hierarchical_dqn_plans_unseen_tasks_almost_as_well_as_the_shortest_path
 def test_values_of_single_skills_and_of_all_agree(toy_training):
     state, _ = toy_training
     tasks, nets = toy_tasks(2, 3), dqn.make_controllers(TOY_DQN)
-    whole = controllers.skill_values(nets, state.params, tasks.first[1], tasks.near[1])
+    whole = hdqn_networks.skill_values(nets, state.params, tasks.first[1], tasks.near[1])
     for a, b, skill in ((0, 1, 2), (0, 4, 1), (2, 4, 3)):
-        one = controllers.skill_value(nets, state.params, tasks, 1, a, b, skill)
+        one = hdqn_networks.skill_value(nets, state.params, tasks, 1, a, b, skill)
         assert whole[a, b, skill] == pytest.approx(float(one), abs=1e-4)
 
 
@@ -189,7 +190,7 @@ def test_the_dqn_learns_to_stay_out_of_a_dead_end():
     config = dqn.DqnConfig(rounds=20, updates=16, hidden_motion=(16,), hidden_task=(16,))
     state, _ = dqn.make_trainer(tasks, config, 20)(dqn.initialize(tasks, config))
     nets = dqn.make_controllers(config)
-    records, total = controllers.greedy_plans(nets, state.params, tasks)
+    records, total = hdqn_networks.greedy_plans(nets, state.params, tasks)
     np.testing.assert_allclose(total, 0.4, atol=1e-6)
 
 
@@ -206,18 +207,18 @@ def test_dqn_resumes_bit_for_bit():
 def toy_switching(seed, joints=3):
     """A skill that collides in the middle and a joint motion that leads around."""
     rng = np.random.default_rng(seed)
-    t = np.linspace(0, 1, switching.STEPS)[:, None]
+    t = np.linspace(0, 1, STEPS)[:, None]
     skill = np.sin(2 * t + rng.uniform(0, 3, joints))
-    window = np.zeros(switching.STEPS)
+    window = np.zeros(STEPS)
     first, last = 60 + rng.integers(0, 20), 130 + rng.integers(0, 20)
     window[first:last] = 1
     bump = np.zeros_like(t)
     bump[first:last, 0] = np.sin(np.linspace(0, np.pi, last - first))
     other = skill + 0.4 * bump
-    collision = np.stack([np.zeros(switching.STEPS), 1 - window])
+    collision = np.stack([np.zeros(STEPS), 1 - window])
     collision[0, first + 10 : last - 10] = 1
-    man = rng.uniform(0.4, 0.6, (2, 1)) * np.ones((2, switching.STEPS))
-    return switching.Combined(
+    man = rng.uniform(0.4, 0.6, (2, 1)) * np.ones((2, STEPS))
+    return Combined(
         *(jnp.asarray(a, jnp.float32) for a in (np.stack([skill, other]), man, collision, window))
     )
 
@@ -242,8 +243,8 @@ def test_viterbi_is_worth_what_it_says_and_beats_random_choices():
         assert total_reward(data, choice, config) == pytest.approx(value, abs=1e-2)
         available = np.asarray(data.available) > 0
         for _ in range(20):
-            a, b = np.sort(rng.integers(0, switching.STEPS, 2))
-            other = np.zeros(switching.STEPS, int)
+            a, b = np.sort(rng.integers(0, STEPS, 2))
+            other = np.zeros(STEPS, int)
             other[a:b] = 1
             assert total_reward(data, other * available, config) <= value + 1e-2
 
@@ -262,7 +263,7 @@ def test_switching_agent_comes_close_to_viterbi():
     )
     problems = jax.tree.map(lambda *a: jnp.stack(a), *[toy_switching(s) for s in range(8)])
     net = switching.make_net(3, config)
-    state = training.train(switching.SwitchWorld(problems, config), net, config.training)
+    state = training.train(switching.SwitchEnv(problems, config), net, config.training)
     choice, reward = switching.choose(net, state.policy(), problems, config)
     best = [switching.optimal_switching(toy_switching(s), config)[1] for s in range(8)]
     assert np.mean(reward) > 0.95 * np.mean(best)

@@ -11,7 +11,7 @@ import oracles
 import pytest
 
 from hybrid_jax.errors import WorkcellError
-from hybrid_jax.kernels.collision import clearance
+from hybrid_jax.kernels.collision.clearance import clearance
 from hybrid_jax.workcell import approximation
 from hybrid_jax.workcell.load import load_workcell
 
@@ -77,8 +77,9 @@ def test_clearance_of_an_ellipsoid_is_that_of_the_solid_around_it(tmp_path):
 def wedge(count=12):
     """A tapered prism: no primitive, but slabs of it are nearly boxes."""
     x = np.linspace(0, 0.2, 2)
-    return np.array([[a, s * (0.05 - 0.1 * a), t * 0.02] for a in x for s in (-1, 1)
-                     for t in (-1, 1)])  # fmt: skip
+    return np.array(
+        [[a, s * (0.05 - 0.1 * a), t * 0.02] for a in x for s in (-1, 1) for t in (-1, 1)]
+    )
 
 
 def test_boxes_of_a_mesh_contain_it_and_keep_the_tolerance():

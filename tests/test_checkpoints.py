@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from test_agents import SMALL, Track
 
-from hybrid_jax import checkpoints
-from hybrid_jax.agents import networks, programs, sac, training
+from hybrid_jax.agents import networks, sac, trainers, training
 from hybrid_jax.errors import RunFolderError
-from hybrid_jax.runfolder import Run
+from hybrid_jax.runs import checkpoints
+from hybrid_jax.runs.run_folder import Run
 
 CONFIG = dataclasses.replace(SMALL, steps=6 * 512)
 SAC_CONFIG = sac.SacConfig(
@@ -25,12 +25,12 @@ def make_run(cell, folder):
     return Run(folder, cell, "smoke", 0)
 
 
-def train(run, config=CONFIG, world=None):
+def train(run, config=CONFIG, env=None):
     if isinstance(config, sac.SacConfig):
         net = sac.make_networks(1, 1, config.hidden)
     else:
         net = networks.make_networks(1, 1, config.hidden, discrete=False)
-    return checkpoints.train_agent(run, "drl", world or Track(), net, config, quiet=True, every=2)
+    return checkpoints.train_agent(run, "drl", env or Track(), net, config, quiet=True, every=2)
 
 
 def interrupt(run, monkeypatch, config=CONFIG):
@@ -72,19 +72,19 @@ def test_a_resumed_run_equals_an_uninterrupted_one(cell, tmp_path, monkeypatch, 
     assert not stopped.path("drl_checkpoint.npz").is_file()
 
 
-def test_a_checkpoint_of_the_real_world_is_taken(cell, tmp_path):
+def test_a_checkpoint_of_the_real_env_is_taken(cell, tmp_path):
     """Its copies have a field that is None without dynamics."""
     from hybrid_jax.agents import joint
-    from hybrid_jax.agents.segments import Segments
-    from hybrid_jax.presets import PRESETS
+    from hybrid_jax.contracts import Segments
+    from hybrid_jax.runs.presets import PRESETS
 
     run, config = make_run(cell, tmp_path / "run"), PRESETS["smoke"].joint
     scene = jax.tree.map(lambda a: jnp.asarray(a)[None], cell.scene)
-    world = joint.make_world(cell, Segments(scene, cell.home[None], cell.home[None] + 0.1), config)
+    env = joint.make_env(cell, Segments(scene, cell.home[None], cell.home[None] + 0.1), config)
     short = dataclasses.replace(config.training, steps=config.training.steps_per_iteration)
     net = joint.make_net(cell, config)
-    first = checkpoints.train_agent(run, "drl", world, net, short, quiet=True)
-    again = checkpoints.train_agent(run, "drl", world, net, short, quiet=True)
+    first = checkpoints.train_agent(run, "drl", env, net, short, quiet=True)
+    again = checkpoints.train_agent(run, "drl", env, net, short, quiet=True)
     for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(again), strict=True):
         np.testing.assert_array_equal(a, b)
 
@@ -103,10 +103,10 @@ def test_a_checkpoint_of_other_settings_is_refused(interrupted):
 
 
 def test_a_checkpoint_of_other_rules_or_devices_is_refused(interrupted, monkeypatch):
-    world = Track()
-    world.config = "steeper"
-    with pytest.raises(RunFolderError, match="rules of the world None, now 'steeper'"):
-        train(interrupted, world=world)
+    env = Track()
+    env.config = "steeper"
+    with pytest.raises(RunFolderError, match="rules of the environment None, now 'steeper'"):
+        train(interrupted, env=env)
     count = jax.local_device_count()
     monkeypatch.setattr(jax, "local_device_count", lambda: 7)
     with pytest.raises(RunFolderError, match=f"number of devices {count}, now 7"):
@@ -129,7 +129,7 @@ def other_cell(cell):
 def test_parameters_that_are_not_finite_stop_a_training():
     """Even where every reported number still is: the last gradient step shows only in them."""
     net = networks.make_networks(1, 1, CONFIG.hidden, discrete=False)
-    params = programs.make_programs(Track(), net, CONFIG).start((0,)).learner.params
+    params = trainers.make_programs(Track(), net, CONFIG).start((0,)).learner.params
     assert bool(training._finite(params))
     broken = jax.tree.map(lambda a: a.at[..., -1].set(np.nan), params)
     assert not bool(training._finite(broken))

@@ -8,14 +8,14 @@ import numpy as np
 import oracles
 import pytest
 
-from hybrid_jax.kernels import collision
-from hybrid_jax.kernels.collision import (
+from hybrid_jax.kernels.collision import clearance as clearance_module
+from hybrid_jax.kernels.collision.clearance import (
     clearance,
     clearance_up_to,
     clearances,
     points_between,
 )
-from hybrid_jax.workcell.contacts import contact_filter
+from hybrid_jax.workcell.allowed_collisions import contact_filter
 from hybrid_jax.workcell.scene import attach, detach, with_opening, with_support
 
 
@@ -108,7 +108,7 @@ def low_configuration(cell):
 def test_open_fingers_are_wider(cell):
     q = cell.home
     wide, narrow = (with_opening(cell, o) for o in (0.0425, 0.0))
-    from hybrid_jax.kernels.primitives import robot_rows
+    from hybrid_jax.kernels.collision.rounded_boxes import robot_rows
 
     spans = []
     for one in (wide, narrow):
@@ -141,10 +141,12 @@ def test_an_accelerators_passes_give_the_same(cell, monkeypatch):
     low, high = np.asarray(cell.joint_limits).T
     q = jnp.asarray(np.random.default_rng(5).uniform(low, high, (4300, len(low))), jnp.float32)
     wide = jax.tree.map(lambda a: jnp.asarray(a)[None], cell)
-    whole = np.asarray(collision._kernel(wide, q, parts="all", measured=None).distance)
+    whole = np.asarray(clearance_module._kernel(wide, q, parts="all", measured=None).distance)
     asked = []
-    monkeypatch.setattr(collision, "by_backend", lambda cpu, other: asked.append(other) or other)
-    exact, near = collision._CLOSEST["all"], collision._NEAR
+    monkeypatch.setattr(
+        clearance_module, "by_backend", lambda cpu, other: asked.append(other) or other
+    )
+    exact, near = clearance_module._CLOSEST["all"], clearance_module._NEAR
     run = jax.vmap(lambda one: (exact(cell, one).distance, near(cell, one, jnp.float32(0.01))))
     found = np.asarray(jax.jit(run)(q))
     assert asked and max(asked) < len(q)
@@ -163,8 +165,10 @@ def test_clearance_up_to_is_the_clearance_cut_off(cell, configurations, enough):
 
 def test_scenes_and_configurations_batch_in_any_nest(cell, configurations):
     """Each lane has its own scene: a payload of its own, objects of its own."""
-    held = [attach(cell, name, jnp.array([0, 0, 0.006, 0, 1, 0, 0.0])) for name in
-            ("block_1", "bolt_1", "hammer")]  # fmt: skip
+    held = [
+        attach(cell, name, jnp.array([0, 0, 0.006, 0, 1, 0, 0.0]))
+        for name in ("block_1", "bolt_1", "hammer")
+    ]
     scenes = jax.tree.map(lambda *a: jnp.stack(a), *(c.scene for c in held))
     q = jnp.asarray(configurations[:30])
     one = lambda scene, q: clearance(cell.replace(scene=scene), q)  # noqa: E731
@@ -181,7 +185,7 @@ def test_detach_undoes_attach(cell):
     put = detach(held, "block_2", pose)
     q = jnp.asarray(cell.home)
     assert float(clearance(put, q)) == pytest.approx(float(clearance(cell, q)), abs=1e-6)
-    np.testing.assert_array_equal(put.scene.objects.on, cell.scene.objects.on)
+    np.testing.assert_array_equal(put.scene.objects.active, cell.scene.objects.active)
 
 
 def test_vmap_equals_the_loop(cell, configurations):

@@ -9,10 +9,11 @@ import sys
 
 import pytest
 
-from hybrid_jax import evaluate, plan, runfolder, train
+from hybrid_jax import evaluate, plan, train
 from hybrid_jax.errors import RunFolderError, UnknownNameError
-from hybrid_jax.seeds import HANDLING_STUDY
-from hybrid_jax.skills.scenes import sample_scene
+from hybrid_jax.runs.run_folder import create_run, open_run
+from hybrid_jax.runs.seeds import HANDLING_STUDY
+from hybrid_jax.tasks.scene_sampling import sample_scene
 from hybrid_jax.workcell.load import load_workcell
 
 
@@ -89,16 +90,16 @@ def test_evaluate_writes_runs_metrics_and_a_chart(run_folder, tmp_path):
 
 def test_damaged_and_incomplete_runs_are_refused(run_folder, tmp_path):
     with pytest.raises(RunFolderError, match="config.json is missing"):
-        runfolder.open_run(tmp_path)
+        open_run(tmp_path)
     config = json.loads((run_folder / "config.json").read_text())
     (tmp_path / "config.json").write_text(json.dumps(config | {"digest": "0" * 64}))
     with pytest.raises(RunFolderError, match="another version of cell"):
-        runfolder.open_run(tmp_path)
+        open_run(tmp_path)
     (tmp_path / "config.json").write_text(json.dumps(config))
-    from hybrid_jax.planner.loading import load_planner
+    from hybrid_jax.runs.load_planner import load_planner
 
     with pytest.raises(RunFolderError, match="map.npz is missing"):
-        load_planner(runfolder.open_run(tmp_path))
+        load_planner(open_run(tmp_path))
 
 
 def test_a_second_run_does_not_overwrite_the_first(run_folder):
@@ -116,19 +117,20 @@ def test_unknown_names_list_the_known_ones():
 def test_errors_are_one_sentence_on_the_terminal():
     done = subprocess.run(
         [sys.executable, "-m", "hybrid_jax.train", "--workcell", "nowhere"],
-        capture_output=True, text=True,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+    )
     assert done.returncode == 2 and "Traceback" not in done.stderr
     assert "gen3_handling" in done.stderr
 
 
 def test_interrupt_keeps_a_checkpoint_that_resume_takes(tmp_path, monkeypatch, capsys):
     """Ctrl-C in the middle of the joint agent's training."""
-    from hybrid_jax import checkpoints
     from hybrid_jax.agents import networks, training
+    from hybrid_jax.runs import checkpoints
 
     folder = tmp_path / "run"
-    run = runfolder.create_run("gen3_handling", "smoke", 0, folder)
+    run = create_run("gen3_handling", "smoke", 0, folder)
     real, seen = training.train, []
 
     def interrupted(*args, report, **kwargs):

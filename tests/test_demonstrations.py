@@ -9,16 +9,16 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from hybrid_jax import demos
-from hybrid_jax.errors import DemonstrationError, RunFolderError
-from hybrid_jax.skills import cleaning, cutting
-from hybrid_jax.skills.demonstration import (
+from hybrid_jax.demonstrations import filtering, splitting
+from hybrid_jax.demonstrations.demonstration import (
     Demonstration,
     check_demonstration,
     load_demonstration,
     load_demonstrations,
     save_demonstration,
 )
-from hybrid_jax.skills.importing import ImportConfig, read_recording
+from hybrid_jax.demonstrations.importing import ImportConfig, read_recording
+from hybrid_jax.errors import DemonstrationError, RunFolderError
 from hybrid_jax.skills.library import build_library
 from hybrid_jax.workcell.assets import demonstrations_folder
 
@@ -57,7 +57,7 @@ def broken(**changes) -> Demonstration:
         (recording(count=5), r"5 samples; at least 8"),
         (dataclasses.replace(recording(), gripper=np.zeros(3)), r"gripper must have shape \(60,\)"),
     ],
-)  # fmt: skip
+)
 def test_bad_recordings_are_refused_with_the_row(demo, said):
     with pytest.raises(DemonstrationError, match=said):
         check_demonstration(demo)
@@ -246,9 +246,9 @@ def test_cleaning_removes_tremor_and_sign_flips_and_keeps_the_ends():
     fade = np.sin(np.pi * demo.times / demo.times[-1])[:, None]
     poses[:, :3] += 0.002 * fade * np.sin(2 * np.pi * 12 * demo.times)[:, None]
     poses[:, 3:] *= rng.choice([-1.0, 1.0], (200, 1))
-    skill = cleaning.clean(dataclasses.replace(demo, poses=poses))
-    wanted = cleaning.clean(demo)
-    assert skill.shape == (cleaning.POINTS, 8)
+    skill = filtering.clean(dataclasses.replace(demo, poses=poses))
+    wanted = filtering.clean(demo)
+    assert skill.shape == (filtering.POINTS, 8)
     assert np.all(np.sum(skill[1:, :4] * skill[:-1, :4], axis=1) > 0)
     found, ideal = (
         RigidTransform.from_dual_quat(s.astype(float), scalar_first=True) for s in (skill, wanted)
@@ -266,11 +266,14 @@ def test_gripper_events_end_a_skill():
     poses = np.concatenate([up.poses, still, up.poses[::-1]])
     gripper = np.concatenate([np.zeros(70), np.ones(70)])
     whole = Demonstration("fetch", np.arange(140) * 0.03, poses, gripper)
-    first, second = cutting.at_gripper_events(whole)
+    first, second = splitting.at_gripper_events(whole)
     assert (first.name, first.closed, second.name, second.closed) == (
-        "fetch.1", False, "fetch.2", True,
-    )  # fmt: skip
-    assert cutting.at_gripper_events(demo) == [demo]
+        "fetch.1",
+        False,
+        "fetch.2",
+        True,
+    )
+    assert splitting.at_gripper_events(demo) == [demo]
     library = build_library([whole])
     assert library.names == ("fetch.1", "fetch.2") and library.closed[:2].tolist() == [False, True]
 
@@ -288,11 +291,11 @@ def test_a_change_of_screw_ends_a_segment():
     first, corner = screw_path(start, np.array([0, 0, 0, 0.0, 0.0, 0.2]), 40)
     second, _ = screw_path(corner, np.array([0, 0, 1.2, 0.25, 0.0, 0.0]), 40)
     poses = np.concatenate([first, second[1:]])
-    cuts = cutting.screw_cuts(poses)
+    cuts = splitting.screw_cuts(poses)
     assert len(cuts) == 1 and abs(cuts[0] - 39) <= 6
-    assert cutting.screw_cuts(first) == []
+    assert splitting.screw_cuts(first) == []
     demo = Demonstration("two", np.arange(79) * 0.03, poses, np.zeros(79))
-    assert [part.name for part in cutting.at_screws(demo)] == ["two.1", "two.2"]
+    assert [part.name for part in splitting.at_screws(demo)] == ["two.1", "two.2"]
 
 
 def test_commands_import_list_split_and_draw(tmp_path, capsys):

@@ -52,25 +52,52 @@ def test_nothing_is_found_in_the_shipped_cells(name):
         ('qpos="0.2 0.4"', 'qpos="1.5 0.1"', WRONG, ("home configuration collides", "wall", "mm")),
         ('qpos="0.2 0.4"', 'qpos="0.2 2.6"', WRONG, ("'elbow' at 2.600", "limits -2.500 to 2.500")),
         (' range="-2 2"', "", DOUBTFUL, ("'shoulder' has no range",)),
-        ('<joint name="elbow" axis="0 1 0" range="-2.5 2.5"', '<joint name="elbow" type="slide"',
-         WRONG, ("slide joint 'elbow' has no range",)),
+        (
+            '<joint name="elbow" axis="0 1 0" range="-2.5 2.5"',
+            '<joint name="elbow" type="slide"',
+            WRONG,
+            ("slide joint 'elbow' has no range",),
+        ),
         ('<compiler angle="radian"/>', "", DOUBTFUL, ("'elbow' turns by 5.0 deg", "radian")),
-        (' range="-2 2" user="2 5"', ' range="-2 2"', DOUBTFUL,
-         ("'shoulder' states no velocity limit", "user=")),
-        ('<inertial pos="0 0 .1" mass="1" diaginertia=".01 .01 .01"/>', "", DOUBTFUL,
-         ("link 'lower' has no <inertial>", "kg")),
+        (
+            ' range="-2 2" user="2 5"',
+            ' range="-2 2"',
+            DOUBTFUL,
+            ("'shoulder' states no velocity limit", "user="),
+        ),
+        (
+            '<inertial pos="0 0 .1" mass="1" diaginertia=".01 .01 .01"/>',
+            "",
+            DOUBTFUL,
+            ("link 'lower' has no <inertial>", "kg"),
+        ),
         ('<position joint="elbow" kp="100"/>', "", DOUBTFUL, ("'elbow' has no position actuator",)),
-        ('<geom name="hand" type="sphere" size=".02"/>',
-         '<geom name="hand" type="ellipsoid" size=".02 .02 .03"/>', DOUBTFUL,
-         ("the ellipsoid hand", "rounded box", "mm larger")),
-        ('<keyframe><key name="home" qpos="0.2 0.4"/></keyframe>', "", DOUBTFUL,
-         ("no keyframe 'home'",)),
-        ('size=".05 .05 .02"', 'size=".05 .05 .12"', WRONG,
-         ("overlap in every configuration", "<exclude body1=")),
-        ('<geom name="upper" type', '<geom name="knob" size=".057"/><geom name="upper" type', WRONG,
-         ("base", "knob", "never further apart than 3.0 mm", "<exclude body1='base'")),
+        (
+            '<geom name="hand" type="sphere" size=".02"/>',
+            '<geom name="hand" type="ellipsoid" size=".02 .02 .03"/>',
+            DOUBTFUL,
+            ("the ellipsoid hand", "rounded box", "mm larger"),
+        ),
+        (
+            '<keyframe><key name="home" qpos="0.2 0.4"/></keyframe>',
+            "",
+            DOUBTFUL,
+            ("no keyframe 'home'",),
+        ),
+        (
+            'size=".05 .05 .02"',
+            'size=".05 .05 .12"',
+            WRONG,
+            ("overlap in every configuration", "<exclude body1="),
+        ),
+        (
+            '<geom name="upper" type',
+            '<geom name="knob" size=".057"/><geom name="upper" type',
+            WRONG,
+            ("base", "knob", "never further apart than 3.0 mm", "<exclude body1='base'"),
+        ),
     ],
-)  # fmt: skip
+)
 def test_each_mistake_is_named(tmp_path, old, new, level, words):
     texts = [f.text for f in found(tmp_path, (old, new)) if f.level == level]
     assert any(all(word in text for word in words) for text in texts), texts
@@ -84,9 +111,10 @@ def test_mistakes_are_told_together_and_the_worst_first(tmp_path):
 def test_an_object_without_mass_is_named(tmp_path):
     body = '<body name="feather" pos="-.5 0 .5"><freejoint/><geom size=".02" mass="1e-9"/></body>'
     some = found(
-        tmp_path, ("</worldbody>", body + "</worldbody>"),
+        tmp_path,
+        ("</worldbody>", body + "</worldbody>"),
         ('qpos="0.2 0.4"', 'qpos="0.2 0.4 -.5 0 .5 1 0 0 0"'),
-    )  # fmt: skip
+    )
     assert any(f.level == WRONG and "feather" in f.text for f in some), some
 
 

@@ -12,9 +12,9 @@ import numpy as np
 import oracles
 import pytest
 
-from hybrid_jax.kernels import distance
 from hybrid_jax.kernels import dualquat as dq
-from hybrid_jax.kernels.primitives import Blocks
+from hybrid_jax.kernels.collision import distance
+from hybrid_jax.kernels.collision.rounded_boxes import RoundedBoxes
 
 
 def capsule_ends(position, quat, half_length):
@@ -52,21 +52,21 @@ def block(kind, position, quat):
     half = {"sphere": (0, 0, 0), "capsule": (0, 0, size[-1]), "box": size}[kind]
     radius = 0.0 if kind == "box" else size[0]
     fields = (position, matrix(quat), half, half, radius)
-    return Blocks(*(jnp.asarray(f, jnp.float32) for f in fields))
+    return RoundedBoxes(*(jnp.asarray(f, jnp.float32) for f in fields))
 
 
 @pytest.mark.parametrize("kind_b", SIZES)
 @pytest.mark.parametrize("kind_a", SIZES)
 def test_swept_boxes_stand_for_every_kind(kind_a, kind_b):
     model, data = oracles.geom_pair(kind_a, SIZES[kind_a], kind_b, SIZES[kind_b])
-    pair, capsule = jax.jit(distance.swept_blocks), jax.jit(distance.swept_capsule)
+    pair, capsule = jax.jit(distance.rounded_box_rounded_box), jax.jit(distance.capsule_rounded_box)
     apart = 0
     for pa, qa, pb, qb in placed_pairs(model, data, 60, 0.35):
         a, b = block(kind_a, pa, qa), block(kind_b, pb, qb)
         got = float(pair(a, b))
         assert got == pytest.approx(float(pair(b, a)), abs=2e-5)
         if kind_a != "box":
-            axis = a.rotation[:, 2] * a.half[2]
+            axis = a.rotation[:, 2] * a.half_extents[2]
             assert got == pytest.approx(float(capsule(a.centre, axis, a.radius, b)), abs=2e-5)
         wanted = mujoco.mj_geomDistance(model, data, 0, 1, 5.0, None)
         if got > 0:

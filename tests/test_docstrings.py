@@ -10,8 +10,11 @@ import pytest
 
 import hybrid_jax
 
-FUNCTIONS = [n for n in hybrid_jax.__all__ if inspect.isroutine(getattr(hybrid_jax, n))
-             or not inspect.isclass(getattr(hybrid_jax, n))]  # fmt: skip
+FUNCTIONS = [
+    n
+    for n in hybrid_jax.__all__
+    if inspect.isroutine(getattr(hybrid_jax, n)) or not inspect.isclass(getattr(hybrid_jax, n))
+]
 CLASSES = [n for n in hybrid_jax.__all__ if n not in FUNCTIONS]
 ARRAYS = ("Float[", "ndarray", "Array", "FeasibilityMap", "Task", "IkResult", "SkillLibrary")
 """Annotations of arguments and results whose shape must be said."""

@@ -8,10 +8,15 @@ import pytest
 
 from hybrid_jax.errors import InputError
 from hybrid_jax.ik import solve_ik
-from hybrid_jax.kernels.collision import clearance
-from hybrid_jax.kernels.edges import edge_is_free, motion_reach, path_is_free, paths_are_free
+from hybrid_jax.kernels.collision.clearance import clearance
+from hybrid_jax.kernels.collision.motion_validation import (
+    edge_is_free,
+    motion_reach,
+    path_is_free,
+    paths_are_free,
+)
+from hybrid_jax.kernels.collision.rounded_boxes import robot_rows
 from hybrid_jax.kernels.kinematics import tool_pose
-from hybrid_jax.kernels.primitives import robot_rows
 from hybrid_jax.workcell.load import load_workcell
 
 THIN = """<mujoco><worldbody>
@@ -94,8 +99,10 @@ def test_no_point_moves_further_than_the_bound(cell):
         moved = q.copy()
         moved[:, joint] += step
         after = place(jnp.asarray(moved))
-        ends = [np.asarray(after.centre + s * after.axis - before.centre - s * before.axis)
-                for s in (-1, 1)]  # fmt: skip
+        ends = [
+            np.asarray(after.centre + s * after.axis - before.centre - s * before.axis)
+            for s in (-1, 1)
+        ]
         assert max(np.linalg.norm(e, axis=0).max() for e in ends) <= reach[joint] * step * 1.01
 
 

@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 
 import hybrid_jax as hj
+from hybrid_jax.contracts import PlanResult
 from hybrid_jax.errors import UnknownNameError
-from hybrid_jax.planner.records import PlanResult
-from hybrid_jax.simulation.driving import drive
-from hybrid_jax.simulation.engines import DeviceEngine, HostEngine, get_state
-from hybrid_jax.simulation.execution import Ending, Execution, ExecutionConfig
-from hybrid_jax.simulation.plant import BlownUp, Plant
-from hybrid_jax.simulation.runs import execute
-from hybrid_jax.simulation.sensing import ARM, FINGERS, OBJECTS, sense_cell
-from hybrid_jax.simulation.sorting import Sorting
-from hybrid_jax.skills.handling import handling_task
-from hybrid_jax.skills.scenes import sample_scene
+from hybrid_jax.execution.batches import execute
+from hybrid_jax.execution.contact_sensors import ARM, FINGERS, OBJECTS, sense_cell
+from hybrid_jax.execution.engines import DeviceEngine, HostEngine, get_state
+from hybrid_jax.execution.handling import Sorting
+from hybrid_jax.execution.plan_execution import Ending, Execution, ExecutionConfig
+from hybrid_jax.execution.plant import BlownUp, Plant
+from hybrid_jax.execution.scheduler import drive
+from hybrid_jax.tasks.handling import handling_task
+from hybrid_jax.tasks.scene_sampling import sample_scene
 from hybrid_jax.types import Status
 
 TICK = 25
@@ -90,8 +90,11 @@ def test_sensors_tell_contacts_as_the_list_of_contacts_does(sensed, configuratio
     root = model.body("shoulder_link").id
     fingers = {model.body(n).id for n in ("finger_l", "finger_r")}
     bodies = [model.body(name).id for name in sensed.things]
-    arm = {b for b in range(model.nbody) if b >= root and model.body_rootid[b] ==
-           model.body_rootid[root] and b not in fingers}  # fmt: skip
+    arm = {
+        b
+        for b in range(model.nbody)
+        if b >= root and model.body_rootid[b] == model.body_rootid[root] and b not in fingers
+    }
     seen = 0
     for q in configurations[:60]:
         mujoco.mj_resetDataKeyframe(model, data, 0)
@@ -122,8 +125,9 @@ def test_the_engine_rolls_as_single_steps_do(cell, sensed, engine):
     q = plant.target + np.linspace(0, 0.2, TICK)[:, None]
     chunk = plant.chunks(q, np.zeros_like(q), plant.spec.gripper.open)[0]
     chunk.commands[:, sensed.model.nu :] = plant.welded
-    states, _ = engine.roll([sensed.model] * 2, np.stack([plant.state] * 2),
-                            np.stack([chunk.commands] * 2))  # fmt: skip
+    states, _ = engine.roll(
+        [sensed.model] * 2, np.stack([plant.state] * 2), np.stack([chunk.commands] * 2)
+    )
     for command in chunk.commands:
         data.ctrl[:] = command[: sensed.model.nu]
         mujoco.mj_step(sensed.model, data)
@@ -250,8 +254,11 @@ def refusing(tasks):
 def test_a_run_without_plans_ends_and_says_why(cell, sensed, engine):
     plant = Plant(sensed, sample_scene(cell, 0), TICK)
     names, asked = ["hammer", "block_1"], []
-    reports = drive([Sorting(plant, names, 0).run()], engine,
-                    lambda tasks: asked.extend(tasks) or refusing(tasks))[0]  # fmt: skip
+    reports = drive(
+        [Sorting(plant, names, 0).run()],
+        engine,
+        lambda tasks: asked.extend(tasks) or refusing(tasks),
+    )[0]
     assert [r.cause for r in reports] == ["no plan"] * 2
     assert "nothing was shown" in reports[0].detail and not any(r.success for r in reports)
     assert {task.grasp for task in asked} == {0, 1, 2}, "every grasp was tried"

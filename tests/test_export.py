@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 
 from hybrid_jax.agents import joint, networks
+from hybrid_jax.contracts import PlanResult
 from hybrid_jax.errors import InputError, UnknownNameError, WorkcellError
 from hybrid_jax.export import export_policy, to_joint_trajectory, write_plan
-from hybrid_jax.export.tpprogram import (
+from hybrid_jax.export.fanuc_tp import (
     LEAST,
     TOLERANCE,
     controller_values,
@@ -23,10 +24,9 @@ from hybrid_jax.export.tpprogram import (
     sparse,
     to_tp_program,
 )
-from hybrid_jax.export.tpreading import read_tp_program
-from hybrid_jax.planner.records import PlanResult
-from hybrid_jax.runfolder import create_run
-from hybrid_jax.skills.tasks import random_task
+from hybrid_jax.export.fanuc_tp_reader import read_tp_program
+from hybrid_jax.runs.run_folder import create_run
+from hybrid_jax.tasks.registry import random_task
 from hybrid_jax.types import Status, Trajectory
 from hybrid_jax.workcell.description import ControllerSpec
 from hybrid_jax.workcell.load import load_workcell
@@ -217,8 +217,10 @@ def test_the_exported_policy_acts_as_the_agent(tmp_path):
     np.save(tmp_path / "seen.npy", seen)
     done = subprocess.run(
         [sys.executable, "-c", READER, "policy.stablehlo", "seen.npy", "acts.npy"],
-        cwd=tmp_path, capture_output=True, text=True,
-    )  # fmt: skip
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+    )
     assert done.returncode == 0, done.stderr
     expected = networks.act(net, policy, seen, None)
     np.testing.assert_allclose(np.load(tmp_path / "acts.npy"), expected, atol=1e-6)

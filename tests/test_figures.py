@@ -13,7 +13,7 @@ import jax
 import numpy as np
 import pytest
 
-from hybrid_jax import provenance
+from hybrid_jax.runtime import provenance
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
@@ -55,8 +55,6 @@ def unbacked(text: str) -> list[str]:
     return found
 
 
-
-
 @pytest.mark.parametrize("page", figures.pages(), ids=lambda page: page.name)
 def test_every_figure_of_a_document_is_backed_by_a_result(page):
     assert not unbacked(page.read_text())
@@ -85,8 +83,13 @@ def test_a_result_says_where_it_is_from(path):
 
 
 def test_templates_are_filled_and_unknown_figures_refused():
-    results = {"a": {"commit": "1234567", "versions": {"jax": "1.2"}, "metrics": [
-        {"key": "a.share", "value": 0.98765, "unit": "1", "note": "of 10"}]}}  # fmt: skip
+    results = {
+        "a": {
+            "commit": "1234567",
+            "versions": {"jax": "1.2"},
+            "metrics": [{"key": "a.share", "value": 0.98765, "unit": "1", "note": "of 10"}],
+        }
+    }
     text = "x\n<!-- figures\n{a.share:.2f} {a.share!n} {a@commit} {a@jax}\n-->\nold\n<!-- end -->\n"
     assert "-->\n0.99 of 10 1234567 1.2\n<!-- end -->" in figures.rendered(text, results)
     whole = figures.rendered("<!-- figures\n{a@table}\n-->\n<!-- end -->\n", results)
@@ -121,7 +124,7 @@ def test_a_package_that_no_repository_has_as_its_own_has_no_commit(tmp_path, mon
 def test_collected_problems_are_taken_from_their_file(cell, tmp_path, monkeypatch):
     """A file that is there is read, and nothing is collected."""
     from benchmarks import drl_problems
-    from hybrid_jax.agents.segments import Segments
+    from hybrid_jax.contracts import Segments
     from hybrid_jax.errors import RunFolderError
 
     scenes = jax.tree.map(lambda a: np.stack([a, a]), cell.scene)
@@ -161,8 +164,10 @@ def test_each_benchmark_runs_to_its_end(name, tmp_path):
         pytest.skip("it presses buttons in Chromium, which is absent")
     done = subprocess.run(
         [sys.executable, "-m", f"benchmarks.{name}", "--tiny", "--json", str(tmp_path / "a.json")],
-        cwd=ROOT, capture_output=True, text=True,
-    )  # fmt: skip
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+    )
     assert done.returncode == 0, done.stderr[-3000:]
     if "nothing to run" in done.stdout:
         pytest.skip(done.stdout)

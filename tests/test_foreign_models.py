@@ -7,11 +7,11 @@ import pytest
 
 from hybrid_jax import check
 from hybrid_jax.errors import UnknownNameError, WorkcellError
-from hybrid_jax.kernels.collision import clearance
+from hybrid_jax.kernels.collision.clearance import clearance
 from hybrid_jax.kernels.kinematics import tool_pose
-from hybrid_jax.planner.checking import Engine
-from hybrid_jax.planner.scenes import home_scene
-from hybrid_jax.runfolder import create_run, open_run
+from hybrid_jax.planner.phase_scenes import home_scene
+from hybrid_jax.planner.trajectory_check import ConfigurationChecker
+from hybrid_jax.runs.run_folder import create_run, open_run
 from hybrid_jax.workcell.diagnosis import DOUBTFUL, WRONG, diagnose
 from hybrid_jax.workcell.load import load_workcell
 
@@ -32,14 +32,19 @@ def joint(name, parent, child, kind="revolute", limit='lower="-2" upper="2"', ex
 
 BALL = '<collision><geometry><sphere radius=".05"/></geometry></collision>'
 ARM = (
-    '<robot name="arm">' + link("base") + link("upper", BALL) + link("wrist", BALL)
-    + joint("j1", "base", "upper") + joint("j2", "upper", "wrist", "continuous", "")
-)  # fmt: skip
+    '<robot name="arm">'
+    + link("base")
+    + link("upper", BALL)
+    + link("wrist", BALL)
+    + joint("j1", "base", "upper")
+    + joint("j2", "upper", "wrist", "continuous", "")
+)
 FINGERS = (
-    link("left") + link("right")
+    link("left")
+    + link("right")
     + joint("f1", "wrist", "left", "prismatic", 'lower="0" upper=".04"')
     + joint("f2", "wrist", "right", "prismatic", 'lower="0" upper=".04"', '<mimic joint="f1"/>')
-)  # fmt: skip
+)
 
 
 def load(tmp_path, text, name="arm.urdf", **options):
@@ -50,8 +55,20 @@ def load(tmp_path, text, name="arm.urdf", **options):
 def box_mesh():
     """A cube of 0.1 m as the text of an OBJ file."""
     cube = np.array(np.meshgrid(*[(0, 0.1)] * 3)).reshape(3, -1).T
-    faces = [(0, 1, 2), (1, 3, 2), (4, 6, 5), (5, 6, 7), (0, 4, 1), (1, 4, 5), (2, 3, 6), (3, 7, 6),
-             (0, 2, 4), (2, 6, 4), (1, 5, 3), (3, 5, 7)]  # fmt: skip
+    faces = [
+        (0, 1, 2),
+        (1, 3, 2),
+        (4, 6, 5),
+        (5, 6, 7),
+        (0, 4, 1),
+        (1, 4, 5),
+        (2, 3, 6),
+        (3, 7, 6),
+        (0, 2, 4),
+        (2, 6, 4),
+        (1, 5, 3),
+        (3, 5, 7),
+    ]
     text = "".join(f"v {x} {y} {z}\n" for x, y, z in cube)
     return text + "".join(f"f {a + 1} {b + 1} {c + 1}\n" for a, b, c in faces)
 
@@ -242,7 +259,7 @@ def test_explicit_pairs_are_obeyed(tmp_path):
     text = text.replace('name="wall"', 'name="wall" contype="0" conaffinity="0"')
     pair = '<contact><pair geom1="wall" geom2="arm"/></contact></mujoco>'
     cell = load(tmp_path, text.replace("</mujoco>", pair), "cell.xml")
-    data, engine = mujoco.MjData(cell.model), Engine(cell)
+    data, engine = mujoco.MjData(cell.model), ConfigurationChecker(cell)
     engine.enter(home_scene(cell))
     for q in np.linspace(-1.5, 1.5, 31):
         data.qpos[:] = q
@@ -261,7 +278,7 @@ def test_both_judges_see_other_joints_where_the_scene_says(tmp_path):
     text = CELL.format(more="").replace("</worldbody>", door)
     cell = load(tmp_path, text, "cell.xml")
     assert float(clearance(cell, cell.home)) > 0.05
-    engine = Engine(cell)
+    engine = ConfigurationChecker(cell)
     engine.enter(home_scene(cell))
     assert engine.collision(np.asarray(cell.home)) is None
 
@@ -293,6 +310,6 @@ def test_what_hangs_on_one_link_is_the_grippers_business(tmp_path):
     text = CELL.format(more=WALL).replace('<site name="tool"', f'{fingers}<site name="tool"')
     cell = load(tmp_path, text, "cell.xml")
     assert float(clearance(cell, cell.home)) > 0.05
-    engine = Engine(cell)
+    engine = ConfigurationChecker(cell)
     engine.enter(home_scene(cell))
     assert engine.collision(np.asarray(cell.home)) is None

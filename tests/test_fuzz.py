@@ -7,10 +7,22 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 NAMES = (
-    "mjcf", "urdf", "handling data", "inspection data", "task", "csv recording", "npz recording",
-    "ros bag", "ros bag of sqlite", "demonstration", "map", "policy", "run's settings", "metrics",
+    "mjcf",
+    "urdf",
+    "handling data",
+    "inspection data",
+    "task",
+    "csv recording",
+    "npz recording",
+    "ros bag",
+    "ros bag of sqlite",
+    "demonstration",
+    "map",
+    "policy",
+    "run's settings",
+    "metrics",
     "tp program",
-)  # fmt: skip
+)
 
 
 @pytest.fixture(scope="module")
@@ -38,9 +50,12 @@ def test_broken_files_are_refused_by_name(targets, folder, name):
     models = name in ("mjcf", "urdf")
 
     @settings(
-        max_examples=40 if models else 150, deadline=None, database=None, derandomize=True,
+        max_examples=40 if models else 150,
+        deadline=None,
+        database=None,
+        derandomize=True,
         suppress_health_check=list(HealthCheck),
-    )  # fmt: skip
+    )
     @given(st.randoms(use_true_random=False))
     def try_one(rng):
         outcome, what = attempt(target, mutate(rng, target), folder)

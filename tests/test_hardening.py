@@ -15,19 +15,30 @@ import numpy as np
 import pytest
 
 import hybrid_jax
-from hybrid_jax import artifacts, plan, train
+from hybrid_jax import plan, train
+from hybrid_jax.demonstrations.demonstration import load_demonstrations
 from hybrid_jax.errors import RunFolderError
-from hybrid_jax.planner.loading import load_planner
-from hybrid_jax.runfolder import Run, open_run
-from hybrid_jax.skills.demonstration import load_demonstrations
+from hybrid_jax.runs.load_planner import load_planner
+from hybrid_jax.runs.run_folder import Run, open_run
+from hybrid_jax.runtime import artifacts
 from hybrid_jax.workcell.assets import demonstrations_folder
 
 PACKAGE = Path(hybrid_jax.__file__).parent
 FORBIDDEN_CALLS = {"eval", "exec", "compile", "__import__"}
 FORBIDDEN_MODULES = {
-    "pickle", "marshal", "shelve", "dill", "cloudpickle", "joblib", "requests", "urllib.request",
-    "http.client", "socket", "ftplib", "yaml",
-}  # fmt: skip
+    "pickle",
+    "marshal",
+    "shelve",
+    "dill",
+    "cloudpickle",
+    "joblib",
+    "requests",
+    "urllib.request",
+    "http.client",
+    "socket",
+    "ftplib",
+    "yaml",
+}
 LITTLE_DISK = """
 import resource, runpy, sys
 resource.setrlimit(resource.RLIMIT_FSIZE, ({bytes}, {bytes}))
@@ -88,8 +99,9 @@ def test_a_full_disk_is_said_and_nothing_is_left_over(tmp_path):
 def test_folders_that_cannot_be_written_are_named(out):
     done = subprocess.run(
         [sys.executable, "-m", "hybrid_jax.train", "--preset", "smoke", "--out", out],
-        capture_output=True, text=True,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+    )
     assert out.rsplit("/", 1)[0] in one_sentence(done)
 
 
@@ -144,7 +156,7 @@ def test_the_answer_is_json_and_nothing_else(smoke_run, tmp_path, capsys):
 
 def test_metrics_for_tensorboard(cell, tmp_path):
     pytest.importorskip("tensorboardX")
-    from hybrid_jax.tensorboard import board
+    from hybrid_jax.reports.tensorboard import board
 
     run = Run(tmp_path, cell, "smoke", 0, listener=board(tmp_path / "tensorboard"))
     run.log("drl", {"step": 1, "reward": 0.25, "note": "text is left out"})
@@ -158,7 +170,7 @@ def test_ctrl_c_is_not_lost_in_the_garbage_collector():
     """Python only reports what is raised there, and goes on."""
     code = """
 import gc, signal, time
-from hybrid_jax.terminal import run_cli
+from hybrid_jax.runtime.terminal import run_cli
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a background shell ignores it
 
@@ -185,8 +197,10 @@ def test_ctrl_c_ends_with_130_and_says_how_to_go_on(tmp_path, later):
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     process = subprocess.Popen(
         [sys.executable, "-m", "hybrid_jax.train", "map", "--out", str(folder)],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     signal.signal(signal.SIGINT, before)
     until = time.monotonic() + 60
     while not (folder / "config.json").is_file() and time.monotonic() < until:

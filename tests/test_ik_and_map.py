@@ -10,8 +10,8 @@ import pytest
 
 from hybrid_jax.errors import RunFolderError
 from hybrid_jax.feasibility import building, lookup
+from hybrid_jax.feasibility.evaluation import Reason
 from hybrid_jax.feasibility.grid import MapConfig, poses_at
-from hybrid_jax.feasibility.judging import Reason
 from hybrid_jax.ik import solve_ik
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.kinematics import tool_pose
@@ -53,6 +53,11 @@ def test_unreachable_poses_are_reported_with_the_closest_approach(cell):
     result = solve_ik(cell, pose, key=jax.random.key(0))
     assert not result.found
     assert 0.8 < float(result.position_error) < 1.6
+    tools = jax.vmap(lambda q: tool_pose(cell, q))(result.branches)
+    away = np.linalg.norm(np.asarray(dq.position(tools) - dq.position(pose)), axis=1)
+    sine = np.linalg.norm(np.asarray(dq.mul(dq.conj(tools), pose))[:, 1:4], axis=1)
+    errors = away + 0.3 * 2 * np.arcsin(np.clip(sine, 0, 1))
+    assert float(result.position_error + 0.3 * result.rotation_error) <= errors.min() + 1e-4
 
 
 def test_feasible_poses_are_free_in_the_engine_too(cell, fmap):
@@ -92,6 +97,8 @@ def test_query_and_nearest_feasible(fmap):
     assert float(value) == pytest.approx(float(fmap.feasibility[i, j, k, r]), abs=1e-5)
     np.testing.assert_allclose(q, fmap.configuration[i, j, k, r])
     np.testing.assert_allclose(dq.position(lookup.nearest_feasible(fmap, pose)), point, atol=1e-5)
+    nowhere = fmap.replace(feasibility=jnp.zeros_like(fmap.feasibility))
+    assert np.isnan(lookup.nearest_feasible(nowhere, pose)).all()
 
 
 def test_a_map_of_another_cell_is_refused(cell, fmap, tmp_path):
@@ -99,7 +106,7 @@ def test_a_map_of_another_cell_is_refused(cell, fmap, tmp_path):
     building.save_map(path, cell, fmap)
     again = building.load_map(path, cell)
     np.testing.assert_array_equal(again.reason, fmap.reason)
-    from hybrid_jax import artifacts
+    from hybrid_jax.runtime import artifacts
 
     artifacts.save(path, "feasibility map", "0" * 64, fmap)
     with pytest.raises(RunFolderError, match="another work cell"):
@@ -150,7 +157,7 @@ def test_several_devices_build_the_same_map():
 import sys, jax
 jax.config.update("jax_platforms", "cpu")
 jax.config.update("jax_num_cpu_devices", int(sys.argv[1]))
-from hybrid_jax.compilecache import enable_compile_cache
+from hybrid_jax.runtime.compile_cache import enable_compile_cache
 enable_compile_cache()
 import numpy as np, hybrid_jax
 from hybrid_jax.feasibility.grid import MapConfig
@@ -191,11 +198,17 @@ def test_labels_agree_with_many_random_seeds(cell, fmap):
             data.qpos[:] = home_qpos(model)
             data.qpos[list(layout.qpos)] = q
             mujoco.mj_forward(model, data)
-            touching = [c for c in data.contact[: data.ncon] if c.dist < -1e-4
-                        and any(model.geom_bodyid[g] >= model.jnt_bodyid[layout.joints[0]]
-                                and model.body_rootid[model.geom_bodyid[g]]
-                                == model.body_rootid[model.jnt_bodyid[layout.joints[0]]]
-                                for g in c.geom)]  # fmt: skip
+            touching = [
+                c
+                for c in data.contact[: data.ncon]
+                if c.dist < -1e-4
+                and any(
+                    model.geom_bodyid[g] >= model.jnt_bodyid[layout.joints[0]]
+                    and model.body_rootid[model.geom_bodyid[g]]
+                    == model.body_rootid[model.jnt_bodyid[layout.joints[0]]]
+                    for g in c.geom
+                )
+            ]
             free |= not touching
         agree.append(free == (np.asarray(fmap.reason).ravel()[index[i]] == Reason.FEASIBLE))
     assert np.mean(agree) >= 0.98

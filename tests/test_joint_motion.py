@@ -6,14 +6,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from hybrid_jax.kernels.collision import clearance
-from hybrid_jax.planner import checking
-from hybrid_jax.planner.checking import PhaseScene
-from hybrid_jax.planner.finishing import motion_faults
-from hybrid_jax.planner.joints import JointMotionConfig, plan_joint_motion
-from hybrid_jax.planner.scenes import home_scene, phase_scene
-from hybrid_jax.rrt import RrtConfig
-from hybrid_jax.skills.tasks import random_task
+from hybrid_jax.kernels.collision.clearance import clearance
+from hybrid_jax.planner import trajectory_check
+from hybrid_jax.planner.phase_scenes import home_scene, phase_scene
+from hybrid_jax.planner.point_to_point import JointMotionConfig, plan_joint_motion
+from hybrid_jax.planner.rrt_connect import RrtConfig
+from hybrid_jax.planner.trajectory_check import PhaseScene
+from hybrid_jax.planner.trajectory_generation import motion_faults
+from hybrid_jax.tasks.registry import random_task
 from hybrid_jax.types import Status, Trajectory
 from hybrid_jax.workcell.compile import compile_workcell
 
@@ -53,7 +53,7 @@ def touches(model, q) -> bool:
 
 
 def test_a_robot_of_balls_has_the_clearance_that_the_engine_sees(balls):
-    assert balls.robot.shapes.round
+    assert balls.robot.shapes.all_spheres
     q = np.random.default_rng(0).uniform([-3, -2], [3, 2], (300, 2)).astype(np.float32)
     gaps = np.asarray(jax.vmap(clearance, (None, 0))(balls, q))
     assert (gaps < 0).any()
@@ -73,16 +73,20 @@ def test_a_joint_motion_goes_around_a_wall(balls):
 
 
 def test_what_touches_between_the_points_that_are_looked_at_is_refused(balls):
-    engine = checking.Engine(balls, checking.CheckConfig(max_step=10.0))
+    checker = trajectory_check.ConfigurationChecker(
+        balls, trajectory_check.CheckConfig(max_step=10.0)
+    )
     scene, still = home_scene(balls), np.zeros((2, 2))
     motion = Trajectory(
         np.array([0, 9.0]), np.stack([START, GOAL]), still, still, np.zeros(2, np.uint8)
     )
-    assert checking.collision_fault(engine, scene, motion.positions) is None, "both ends are free"
-    faults = motion_faults(balls, engine, scene, motion)
+    assert trajectory_check.collision_fault(checker, scene, motion.positions) is None, (
+        "both ends are free"
+    )
+    faults = motion_faults(balls, checker, scene, motion)
     assert len(faults) == 1 and "between the points" in faults[0]
     away = np.stack([START, START + [0.2, 0.1]])
-    assert not motion_faults(balls, engine, scene, motion.replace(positions=away))
+    assert not motion_faults(balls, checker, scene, motion.replace(positions=away))
 
 
 def test_what_cannot_be_planned_is_named(balls):
@@ -140,19 +144,21 @@ def test_no_way_is_said():
 
 
 def test_the_engine_sees_the_same_without_the_pairs_that_it_skips(cell, monkeypatch):
-    quick, rng, touched = checking.Engine(cell), np.random.default_rng(0), []
+    quick, rng, touched = trajectory_check.ConfigurationChecker(cell), np.random.default_rng(0), []
     with monkeypatch.context() as patch:
-        patch.setattr(checking.Engine, "_skip_idle_pairs", lambda self: None)
-        plain = checking.Engine(cell)
+        patch.setattr(trajectory_check.ConfigurationChecker, "_skip_idle_pairs", lambda self: None)
+        plain = trajectory_check.ConfigurationChecker(cell)
     home, task = np.asarray(cell.home), random_task(cell, 40_100)
     for kind in range(3):
         scene = phase_scene(cell, task, kind)
         quick.enter(scene)
         with monkeypatch.context() as patch:
-            patch.setattr(checking.Engine, "_skip_idle_pairs", lambda self: None)
+            patch.setattr(
+                trajectory_check.ConfigurationChecker, "_skip_idle_pairs", lambda self: None
+            )
             plain.enter(scene)
         for q in home + rng.normal(0, 0.5, (60, 7)):
-            answers = [engine.collision(q) is None for engine in (quick, plain)]
+            answers = [checker.collision(q) is None for checker in (quick, plain)]
             assert answers[0] == answers[1]
             touched.append(not answers[0])
     assert 10 < sum(touched) < len(touched) - 10

@@ -9,18 +9,18 @@ import mujoco
 import numpy as np
 import pytest
 
-from hybrid_jax.agents.segments import Segments
+from hybrid_jax.contracts import Segments
+from hybrid_jax.envs.reach import ReachConfig, ReachEnv
 from hybrid_jax.errors import UnknownNameError, WorkcellError
 from hybrid_jax.feasibility.building import build_feasibility_map
+from hybrid_jax.feasibility.evaluation import Reason
 from hybrid_jax.feasibility.grid import MapConfig
-from hybrid_jax.feasibility.judging import Reason
-from hybrid_jax.simulation import physics
-from hybrid_jax.simulation.reach import ReachConfig, ReachWorld
-from hybrid_jax.simulation.servos import Servos
-from hybrid_jax.skills.scenes import sample_scene
+from hybrid_jax.mjx import physics
+from hybrid_jax.mjx.collision import BACKENDS
+from hybrid_jax.mjx.servos import Servos
+from hybrid_jax.tasks.scene_sampling import sample_scene
 from hybrid_jax.workcell.layout import home_qpos
 from hybrid_jax.workcell.load import load_workcell
-from hybrid_jax.workcell.mjxcollision import BACKENDS
 from hybrid_jax.workcell.scene import place_objects
 
 
@@ -38,9 +38,15 @@ def test_collision_backends_agree(cell, configurations):
 
 def test_maps_of_both_backends_agree(cell):
     config = MapConfig(
-        lower=(0.3, -0.2, 0.0), upper=(0.6, 0.2, 0.3), spacing=0.3, orientations=3, turns=2,
-        samples=1, restarts=0, batch=32,
-    )  # fmt: skip
+        lower=(0.3, -0.2, 0.0),
+        upper=(0.6, 0.2, 0.3),
+        spacing=0.3,
+        orientations=3,
+        turns=2,
+        samples=1,
+        restarts=0,
+        batch=32,
+    )
     maps = [build_feasibility_map(cell, replace(config, backend=name)) for name in BACKENDS]
     feasible, engine = (np.asarray(m.reason) < Reason.NEAR_SINGULAR for m in maps)
     np.testing.assert_array_equal(feasible, engine)
@@ -59,7 +65,7 @@ def test_a_batch_of_physics_agrees_with_the_engine(cell):
     @jax.jit
     @jax.vmap
     def run(start):
-        return physics.step(model, physics.start_state(cell, model, start), 10).qpos
+        return physics.step(model, physics.start_state(cell, start), 10).qpos
 
     got = np.asarray(run(jnp.asarray(qpos)))
     for start, end in zip(qpos, got, strict=True):
@@ -85,24 +91,24 @@ def two_joints(tmp_path, actuators=SERVOS):
     return load_workcell(tmp_path / "arm.xml")
 
 
-def test_the_joint_agents_world_in_dynamics(tmp_path):
+def test_the_joint_agents_env_in_dynamics(tmp_path):
     """The servos carry out each move as C MuJoCo says, and the straight step arrives."""
     cell = two_joints(tmp_path)
     scene = jax.tree.map(lambda a: a[None], cell.scene)
     start, goal = jnp.array([[0.3, -0.4]]), jnp.array([[1.0, 0.5]])
     config = ReachConfig(physics="mjx")
-    world = ReachWorld(cell, Segments(scene, start, goal), config)
-    step, state = jax.jit(world.step), world.start(jnp.int32(0), start[0])
+    env = ReachEnv(cell, Segments(scene, start, goal), config)
+    step, state = jax.jit(env.step), env.start(jnp.int32(0), start[0])
     data, arrived = mujoco.MjData(cell.model), False
     data.qpos[:] = start[0]
     for _ in range(60):
-        data.ctrl[:] = np.asarray(world.target(state, jnp.zeros(2)))
+        data.ctrl[:] = np.asarray(env.target(state, jnp.zeros(2)))
         mujoco.mj_step(cell.model, data, round(config.period / cell.model.opt.timestep))
         move = step(state, jnp.zeros(2))
         state, arrived = move.state, arrived or bool(move.success)
         np.testing.assert_allclose(state.q, data.qpos, atol=1e-3)
         np.testing.assert_allclose(state.body.qvel, data.qvel, atol=1e-2)
-        assert not move.facts["blocked"]
+        assert not move.info["blocked"]
     assert arrived
     np.testing.assert_allclose(state.q, goal[0], atol=0.01)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The paper's own world, against C MuJoCo and SciPy."""
+"""The paper's own environment, against C MuJoCo and SciPy."""
 
 import jax
 import jax.numpy as jnp
@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hybrid_jax.agents.segments import Segments
+from hybrid_jax.contracts import Segments
+from hybrid_jax.envs.paper_reach import PaperReachConfig, PaperReachEnv, euler
 from hybrid_jax.kernels import dualquat as dq
-from hybrid_jax.simulation.paperreach import PaperReachConfig, PaperReachWorld, euler
 
 
 @pytest.fixture(scope="module")
-def world(cell, configurations):
+def env(cell, configurations):
     scene = jax.tree.map(lambda a: jnp.broadcast_to(a, (8, *a.shape)), cell.scene)
-    return PaperReachWorld(
+    return PaperReachEnv(
         cell, Segments(scene, jnp.asarray(configurations[:8]), jnp.asarray(configurations[8:16]))
     )
 
@@ -33,11 +33,11 @@ def test_euler_angles_agree_with_scipy():
     assert (back * rotations.inv()).magnitude().max() < 2e-3
 
 
-def test_observation_has_the_papers_numbers_in_the_papers_order(cell, world, configurations):
+def test_observation_has_the_papers_numbers_in_the_papers_order(cell, env, configurations):
     """JP of every link, velocities of a known step, the goal, 25 rays."""
-    state = world.start(jnp.int32(0), jnp.asarray(configurations[0]))
-    state = jax.jit(world.step)(state, action_to(cell, configurations[1])).state
-    obs = np.asarray(world.observe(state))
+    state = env.start(jnp.int32(0), jnp.asarray(configurations[0]))
+    state = jax.jit(env.step)(state, action_to(cell, configurations[1])).state
+    obs = np.asarray(env.observe(state))
     assert obs.shape == (12 * 7 + 31,)
     data, layout = mujoco.MjData(cell.model), cell.source.layout
     places = []
@@ -47,46 +47,46 @@ def test_observation_has_the_papers_numbers_in_the_papers_order(cell, world, con
         ids = [cell.model.joint(name).bodyid[0] for name in cell.joint_names]
         places.append(data.xpos[ids].copy())
     np.testing.assert_allclose(obs[:21].reshape(7, 3), places[1], atol=1e-4)
-    velocity = (places[1] - places[0]) / world.config.period
+    velocity = (places[1] - places[0]) / env.config.period
     np.testing.assert_allclose(obs[42:63].reshape(7, 3), velocity, atol=2e-3)
-    np.testing.assert_allclose(obs[84:87], dq.position(world.goal_pose[0]), atol=1e-6)
+    np.testing.assert_allclose(obs[84:87], dq.position(env.goal_pose[0]), atol=1e-6)
     assert (obs[-25:] >= 0).all() and (obs[-25:] <= 1).all()
 
 
-def test_reward_is_fea_minus_distance_outside_the_ball_and_a_tenth_inside(cell, world):
-    goals = world.segments.goal
-    step = jax.jit(world.step)
-    inside = step(world.start(jnp.int32(0), world.segments.start[0]), action_to(cell, goals[0]))
+def test_reward_is_fea_minus_distance_outside_the_ball_and_a_tenth_inside(cell, env):
+    goals = env.segments.goal
+    step = jax.jit(env.step)
+    inside = step(env.start(jnp.int32(0), env.segments.start[0]), action_to(cell, goals[0]))
     assert bool(inside.terminated) and float(inside.reward) == pytest.approx(0.1)
     for i in range(1, 8):
-        move = step(world.start(jnp.int32(i), world.segments.start[i]), action_to(cell, goals[0]))
-        distance, hit = float(move.facts["distance"]), float(move.facts["collision"])
-        fea = float(world.feasibility(jnp.int32(i), goals[0])[0])
+        move = step(env.start(jnp.int32(i), env.segments.start[i]), action_to(cell, goals[0]))
+        distance, hit = float(move.info["distance"]), float(move.info["collision"])
+        fea = float(env.feasibility(jnp.int32(i), goals[0])[0])
         assert fea == 0 if hit else fea > 0
         expected = 0.1 if distance < 0.25 else fea - distance
         assert float(move.reward) == pytest.approx(expected, abs=1e-4)
         assert bool(move.terminated) == (distance < 0.25)
 
 
-def test_the_rivals_reward_is_the_distance_in_joint_space(cell, world):
-    pure = PaperReachWorld(cell, world.segments, PaperReachConfig(reward="distance"))
-    start = world.segments.start[1]
+def test_the_rivals_reward_is_the_distance_in_joint_space(cell, env):
+    pure = PaperReachEnv(cell, env.segments, PaperReachConfig(reward="distance"))
+    start = env.segments.start[1]
     move = pure.step(pure.start(jnp.int32(2), start), action_to(cell, start))
     assert not bool(move.terminated)
-    away = np.linalg.norm(np.asarray(world.segments.goal[2] - start))
+    away = np.linalg.norm(np.asarray(env.segments.goal[2] - start))
     assert float(move.reward) == pytest.approx(-away, abs=1e-3)
 
 
-def test_to_the_letter_the_agent_does_not_see_its_goal(cell, world):
-    blind = PaperReachWorld(cell, world.segments, PaperReachConfig(target="ee"))
-    q = world.segments.start[0]
+def test_to_the_letter_the_agent_does_not_see_its_goal(cell, env):
+    blind = PaperReachEnv(cell, env.segments, PaperReachConfig(target="ee"))
+    q = env.segments.start[0]
     first, second = (np.asarray(blind.observe(blind.start(jnp.int32(i), q))) for i in (0, 1))
     np.testing.assert_array_equal(first[:90], second[:90])
-    seen = [np.asarray(world.observe(world.start(jnp.int32(i), q)))[84:90] for i in (0, 1)]
+    seen = [np.asarray(env.observe(env.start(jnp.int32(i), q)))[84:90] for i in (0, 1)]
     assert np.abs(seen[0] - seen[1]).max() > 1e-2
 
 
-def test_a_singular_home_is_refused(cell, world):
+def test_a_singular_home_is_refused(cell, env):
     straight = cell.replace(home=jnp.zeros(7))
     with pytest.raises(ValueError, match="manipulability at home"):
-        PaperReachWorld(straight, world.segments)
+        PaperReachEnv(straight, env.segments)

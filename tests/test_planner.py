@@ -15,19 +15,16 @@ import mujoco
 import numpy as np
 import pytest
 
-from hybrid_jax.agents.segments import single_segment
+from hybrid_jax.baselines.ablations import joint_agent_only, lfd_only, plan_directly
+from hybrid_jax.envs.segments import single_segment
 from hybrid_jax.errors import TaskError, UnknownNameError
 from hybrid_jax.export import to_joint_trajectory
 from hybrid_jax.kernels import dualquat as dq
-from hybrid_jax.kernels.collision import clearance
-from hybrid_jax.kernels.edges import path_clearance
-from hybrid_jax.planner import checking, smoothing
-from hybrid_jax.planner.ablations import joint_agent_only, lfd_only, plan_directly
+from hybrid_jax.kernels.collision.clearance import clearance
+from hybrid_jax.kernels.collision.motion_validation import path_clearance
+from hybrid_jax.planner import smoothing, trajectory_check
 from hybrid_jax.planner.bridging import bridge_gaps
-from hybrid_jax.planner.finishing import find_faults
-from hybrid_jax.planner.pipeline import plan_batch, plan_motion, prepare
-from hybrid_jax.planner.refusing import admit
-from hybrid_jax.planner.scenes import (
+from hybrid_jax.planner.phase_scenes import (
     CARRYING,
     REACHING,
     TRANSFERRING,
@@ -36,11 +33,15 @@ from hybrid_jax.planner.scenes import (
     segment_kinds,
     task_scenes,
 )
-from hybrid_jax.skills.handling import handling_task
+from hybrid_jax.planner.pipeline import plan_batch, plan_motion, prepare
+from hybrid_jax.planner.task_validation import admit
+from hybrid_jax.planner.trajectory_generation import find_faults
 from hybrid_jax.skills.library import without
-from hybrid_jax.skills.scenes import sample_scene
-from hybrid_jax.skills.tasks import random_task, read_task
+from hybrid_jax.tasks.handling import handling_task
+from hybrid_jax.tasks.registry import random_task, read_task
+from hybrid_jax.tasks.scene_sampling import sample_scene
 from hybrid_jax.types import Source, Status
+from hybrid_jax.workcell.poses import pose_row
 
 
 @pytest.fixture(scope="module")
@@ -80,18 +81,18 @@ def test_trajectories_are_consistent_and_within_limits(cell, planned):
         middle = (trajectory.velocities[1:] + trajectory.velocities[:-1]) / 2
         assert np.abs(slopes - middle).max() < 0.05
         assert (np.abs(trajectory.velocities) <= np.asarray(cell.velocity_limits) * 1.001).all()
-        assert checking.limit_faults(cell, trajectory) == []
+        assert trajectory_check.limit_faults(cell, trajectory) == []
 
 
 def test_a_task_that_the_quick_look_leaves_open_is_looked_at_again(planner, planned):
     """No step of inverse kinematics at first, then as many as usual."""
     task, _ = planned
-    one = replace(planner.config.quick.search, seeds=1, iterations=1)
-    blind = replace(planner.config.quick, candidates=1, search=one)
-    alone = replace(planner.config, quick=None, labels=blind)
+    one = replace(planner.config.quick_path_ik.search, seeds=1, iterations=1)
+    blind = replace(planner.config.quick_path_ik, candidates=1, search=one)
+    alone = replace(planner.config, quick_path_ik=None, path_ik=blind)
     result = plan_motion(replace(planner, config=alone), task, key=jax.random.key(0))
     assert result.status is not Status.OK
-    both = replace(planner.config, quick=blind, labels=planner.config.quick)
+    both = replace(planner.config, quick_path_ik=blind, path_ik=planner.config.quick_path_ik)
     result = plan_motion(replace(planner, config=both), task, key=jax.random.key(0))
     assert result.status is Status.OK
 
@@ -153,10 +154,10 @@ def test_bad_numbers_are_refused_by_name(planner, planned, change, words):
 
 def test_a_start_outside_the_limits_is_clipped_if_rounding_did_it_else_refused(cell, planner):
     low, high, poses = *np.asarray(cell.joint_limits).T, sample_scene(cell, 4)
-    start, engine = np.array(cell.home), checking.Engine(cell)
+    start, checker = np.array(cell.home), trajectory_check.ConfigurationChecker(cell)
     start[5] = high[5] + 2e-4  # bent all the way back, the wrist touches nothing
     task = handling_task(cell, "block_2", poses, start)
-    clipped, note, refusal = admit(cell, engine, task)
+    clipped, note, refusal = admit(cell, checker, task)
     assert refusal is None and (clipped.start <= high).all() and (clipped.start >= low).all()
     assert note.startswith("(the start: joint_6 is at") and note.endswith("put back to the limit)")
     start[5] = high[5] + 0.1
@@ -199,7 +200,7 @@ def test_the_fallback_bridges_what_the_joint_agent_does_not(planner, planned):
     assert result.shares[Source.DRL] == 0 and sum(result.shares.values()) == pytest.approx(1)
     alone = replace(helpless, config=replace(planner.config, fallback=None))
     result = plan_motion(alone, planned[0], key=jax.random.key(0))
-    assert result.status is Status.DRL_TIMEOUT
+    assert result.status is Status.NO_PATH
     assert re.match(r"key pose \d to \d: no way around", result.detail)
 
 
@@ -233,13 +234,15 @@ def test_the_joint_agent_alone_goes_from_key_pose_to_key_pose(cell, planner, pla
 
 def test_the_final_check_sees_a_wall(cell, planner, reaching, planned):
     task, result = planned
-    engine, scene = checking.Engine(cell), phase_scene(cell, task, REACHING)
-    assert checking.collision_fault(engine, scene, result.phases[0].positions) is None
+    checker, scene = trajectory_check.ConfigurationChecker(cell), phase_scene(cell, task, REACHING)
+    assert trajectory_check.collision_fault(checker, scene, result.phases[0].positions) is None
     q = np.array(result.phases[0].positions)
     reach = np.clip(q + np.linspace(0, 1, len(q))[:, None] * [-1.0, 0, 0, 0, 0, 0, 0], -6, 6)
-    assert re.search("touches|too close to", checking.collision_fault(engine, scene, reach))
+    assert re.search(
+        "touches|too close to", trajectory_check.collision_fault(checker, scene, reach)
+    )
     bad = replace(result.phases[0], positions=reach)
-    faults = find_faults(reaching, engine, task, 0, bad)
+    faults = find_faults(reaching, checker, task, 0, bad)
     assert any("clearance falls to -" in f for f in faults), "the kernels see it as well"
     assert any(re.search("touches|too close to", fault) for fault in faults)
     assert any("key pose 1 is missed" in fault for fault in faults)
@@ -249,21 +252,24 @@ def test_the_final_check_carries_the_object(cell, planned):
     """Held low over the table, the object touches it; with the table as support it may."""
     task, result = planned
     scene = phase_scene(cell, task, CARRYING)
-    engine, first = checking.Engine(cell), result.phases[1].positions[:1].repeat(2, axis=0)
-    assert checking.collision_fault(engine, scene, first) is None
+    checker, first = (
+        trajectory_check.ConfigurationChecker(cell),
+        result.phases[1].positions[:1].repeat(2, axis=0),
+    )
+    assert trajectory_check.collision_fault(checker, scene, first) is None
     bare = replace(scene, support=())
-    assert "table" in checking.collision_fault(engine, bare, first)
+    assert "table" in trajectory_check.collision_fault(checker, bare, first)
 
 
 def test_a_held_object_may_touch_its_support_only_where_it_is_lifted(cell, planned):
     task, result = planned
     q, scenes = result.phases[0].positions[-1], task_scenes(cell, task)
-    engine, gaps, found = checking.Engine(cell), [], []
+    checker, gaps, found = trajectory_check.ConfigurationChecker(cell), [], []
     for segment, kind in ((1, CARRYING), (2, TRANSFERRING)):
         assert segment_kinds(task)[segment] == kind
         gaps.append(float(clearance(inside(cell, scenes, segment), jnp.asarray(q, jnp.float32))))
-        engine.enter(phase_scene(cell, task, kind))
-        found.append(engine.collision(q))
+        checker.enter(phase_scene(cell, task, kind))
+        found.append(checker.collision(q))
     assert gaps[0] > 0.0005 and found[0] is None
     assert gaps[1] < 0.0005 and "table" in found[1]
 
@@ -272,21 +278,21 @@ def test_the_final_check_sees_broken_limits_and_missed_poses(cell, planned):
     task, result = planned
     trajectory = result.phases[0]
     fast = replace(trajectory, velocities=trajectory.velocities * 9)
-    assert any("velocity limit of joint_" in f for f in checking.limit_faults(cell, fast))
+    assert any("velocity limit of joint_" in f for f in trajectory_check.limit_faults(cell, fast))
     rushed = replace(trajectory, times=trajectory.times / 9)
-    faults = checking.limit_faults(cell, rushed)
+    faults = trajectory_check.limit_faults(cell, rushed)
     assert any("velocity" in f for f in faults) and any("acceleration" in f for f in faults)
     jumped = np.array(trajectory.positions)
     jumped[40:, 3] += 0.05
-    faults = checking.limit_faults(cell, replace(trajectory, positions=jumped))
+    faults = trajectory_check.limit_faults(cell, replace(trajectory, positions=jumped))
     assert any("joint_4" in f for f in faults)
     still = replace(trajectory, times=np.zeros_like(trajectory.times))
-    assert any("do not grow" in f for f in checking.limit_faults(cell, still))
-    engine = checking.Engine(cell)
-    end, pose = trajectory.positions[-1], checking.pose_row(task.key_poses[1])
-    assert checking.pose_fault(engine, end, pose, "it") is None
+    assert any("do not grow" in f for f in trajectory_check.limit_faults(cell, still))
+    checker = trajectory_check.ConfigurationChecker(cell)
+    end, pose = trajectory.positions[-1], pose_row(task.key_poses[1])
+    assert trajectory_check.pose_fault(checker, end, pose, "it") is None
     off = pose + [0, 0, 0.01, 0, 0, 0, 0]
-    assert "it is missed by 10." in checking.pose_fault(engine, end, off, "it")
+    assert "it is missed by 10." in trajectory_check.pose_fault(checker, end, off, "it")
 
 
 def test_what_was_demonstrated_is_hardly_smoothed(reaching, planned):
@@ -344,26 +350,28 @@ def test_export_has_the_layout_of_a_joint_trajectory(cell, planned):
 
 def test_a_key_pose_on_the_way_must_be_passed(cell, planned):
     task, plan = planned
-    engine = checking.Engine(cell)
-    path, lifted = plan.phases[1].positions, checking.pose_row(task.key_poses[2])
-    tools = np.array([engine.position(q) for q in checking.checked_points(path, 0.02)])
+    checker = trajectory_check.ConfigurationChecker(cell)
+    path, lifted = plan.phases[1].positions, pose_row(task.key_poses[2])
+    tools = np.array([checker.position(q) for q in trajectory_check.checked_points(path, 0.02)])
     sides = lifted + 0.05 * np.vstack([np.eye(3, 7), -np.eye(3, 7)])
     away = [np.linalg.norm(tools - side[:3], axis=1).min() for side in sides]
     beside, turned = sides[np.argmax(away)], lifted.copy()  # the path passes one of them
-    turned[3:] = dq.mul(dq.from_parts(np.zeros(3), lifted[3:]),
-                        dq.from_parts(np.zeros(3), np.array([0.98, 0, 0, 0.199])))[:4]  # fmt: skip
+    turned[3:] = dq.mul(
+        dq.from_parts(np.zeros(3), lifted[3:]),
+        dq.from_parts(np.zeros(3), np.array([0.98, 0, 0, 0.199])),
+    )[:4]
     poses = {"it": lifted, "one beside": beside, "one turned": turned}
-    faults = checking.passing_faults(engine, path, poses)
+    faults = trajectory_check.passing_faults(checker, path, poses)
     assert [fault.split(" is missed by")[0] for fault in faults] == ["one beside", "one turned"]
 
 
 def test_more_skill_plans_never_leave_more_infeasible_way_points(cell, planner):
-    engine, fewer = checking.Engine(cell), 0
+    checker, fewer = trajectory_check.ConfigurationChecker(cell), 0
     for number in range(50, 56):
         task, costs = random_task(cell, number), []
         for plans in (1, 4):
             several = replace(planner, config=replace(planner.config, plans=plans))
-            _, jobs = prepare(several, engine, [task], jax.random.key(0))
+            _, jobs = prepare(several, checker, [task], jax.random.key(0))
             costs.append(jobs[0].routes.least_cost())
         assert costs[1] <= costs[0]
         fewer += costs[1] < costs[0]
@@ -373,9 +381,10 @@ def test_more_skill_plans_never_leave_more_infeasible_way_points(cell, planner):
 def test_task_files_are_checked(cell, tmp_path):
     path = tmp_path / "task.json"
     for text, message in (
-        ("{", "task.json"), ("{}", "field 'object'"),
+        ("{", "task.json"),
+        ("{}", "field 'object'"),
         ('{"object": "hammer", "object_poses": [[1]]}', "must be 5 finite rows"),
-    ):  # fmt: skip
+    ):
         path.write_text(text)
         with pytest.raises(TaskError, match=message):
             read_task(cell, path)

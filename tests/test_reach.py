@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The world of the joint-space agent, and what the trained agent's rollouts are worth."""
+"""The environment of the joint-space agent, and what the trained agent's rollouts are worth."""
 
 import jax
 import jax.numpy as jnp
@@ -7,18 +7,13 @@ import numpy as np
 import pytest
 
 from hybrid_jax.agents import joint, networks, ppo, training
-from hybrid_jax.agents.segments import (
-    Segments,
-    refuse_infeasible,
-    single_segment,
-    take,
-    with_room,
-)
+from hybrid_jax.contracts import Segments, take
+from hybrid_jax.envs.paper_reach import PaperReachConfig, PaperReachEnv
+from hybrid_jax.envs.reach import ReachConfig, ReachEnv
+from hybrid_jax.envs.segments import refuse_infeasible, single_segment, with_room
 from hybrid_jax.errors import SegmentError
-from hybrid_jax.kernels.collision import clearance
-from hybrid_jax.kernels.edges import edge_is_free
-from hybrid_jax.simulation.paperreach import PaperReachConfig, PaperReachWorld
-from hybrid_jax.simulation.reach import ReachConfig, ReachWorld
+from hybrid_jax.kernels.collision.clearance import clearance
+from hybrid_jax.kernels.collision.motion_validation import edge_is_free
 
 COUNT = 12
 CONFIG = joint.JointAgentConfig(
@@ -38,14 +33,14 @@ def segments(cell):
 
 
 @pytest.fixture(scope="module")
-def world(cell, segments):
-    return ReachWorld(cell, segments)
+def env(cell, segments):
+    return ReachEnv(cell, segments)
 
 
-def test_without_correction_the_arm_goes_straight_and_arrives_exactly(cell, segments, world):
+def test_without_correction_the_arm_goes_straight_and_arrives_exactly(cell, segments, env):
     """The neutral action; where nothing is in the way the last step ends on the goal."""
-    step = jax.jit(jax.vmap(world.step))
-    state = jax.vmap(world.start)(jnp.arange(COUNT), segments.start)
+    step = jax.jit(jax.vmap(env.step))
+    state = jax.vmap(env.start)(jnp.arange(COUNT), segments.start)
     arrived = np.zeros(COUNT, bool)
     for _ in range(40):
         move = step(state, jnp.zeros((COUNT, 7)))
@@ -61,27 +56,27 @@ def test_without_correction_the_arm_goes_straight_and_arrives_exactly(cell, segm
     assert error[arrived].max() < 1e-5
 
 
-def test_a_rollout_never_stands_closer_than_the_margin(cell, segments, world):
+def test_a_rollout_never_stands_closer_than_the_margin(cell, segments, env):
     """Random actions, ten steps a copy; the clearance by the exact kernel."""
-    state = jax.vmap(world.start)(jnp.arange(COUNT), segments.start)
-    step, blocked = jax.jit(jax.vmap(world.step)), 0
+    state = jax.vmap(env.start)(jnp.arange(COUNT), segments.start)
+    step, blocked = jax.jit(jax.vmap(env.step)), 0
     for key in jax.random.split(jax.random.key(1), 30):
         action = jax.random.uniform(key, (COUNT, 7), minval=-1, maxval=1)
         move = step(state, action)
-        blocked += int(move.facts["blocked"].sum())
+        blocked += int(move.info["blocked"].sum())
         assert (np.abs(move.state.q - state.q).max(axis=1) <= 0.08 + 1e-6).all()
         state = move.state
         gaps = jax.vmap(clearance, (None, 0))(cell, state.q)
-        assert (np.asarray(gaps) >= world.config.margin - 1e-6).all()
+        assert (np.asarray(gaps) >= env.config.margin - 1e-6).all()
     assert blocked > 0
 
 
-def test_reward_is_what_the_distance_to_go_loses(segments, world):
-    move = jax.jit(world.step)(world.start(jnp.int32(0), segments.start[0]), jnp.zeros(7))
+def test_reward_is_what_the_distance_to_go_loses(segments, env):
+    move = jax.jit(env.step)(env.start(jnp.int32(0), segments.start[0]), jnp.zeros(7))
     before, after = (
         np.linalg.norm(np.asarray(segments.goal[0] - q)) for q in (segments.start[0], move.state.q)
     )
-    blocked = float(move.facts["blocked"])
+    blocked = float(move.info["blocked"])
     assert float(move.reward) == pytest.approx(before - after - 0.02 - 0.05 * blocked, abs=1e-5)
 
 
@@ -95,16 +90,16 @@ def test_mjx_backend_blocks_what_the_kernels_block(cell, segments):
     hit = int(np.argmax(gaps < -0.01))
     assert hit > 0
     for name in ("fused", "mjx"):
-        world = ReachWorld(cell, segments, ReachConfig(backend=name))
-        gap = jax.jit(lambda points, world=world: world.gap(cell, points))
+        env = ReachEnv(cell, segments, ReachConfig(backend=name))
+        gap = jax.jit(lambda points, env=env: env.gap(cell, points))
         assert gap(path[hit : hit + 1]) < 0 < gap(path[:1])
 
 
 @pytest.fixture(scope="module")
-def agent(cell, segments, world):
+def agent(cell, segments, env):
     """A few updates; segments that a straight line solves are solved before the first."""
     net = joint.make_net(cell, CONFIG)
-    return net, training.train(world, net, CONFIG.training).policy()
+    return net, training.train(env, net, CONFIG.training).policy()
 
 
 def test_the_bridger_returns_proven_paths_or_nothing(cell, segments, agent):
@@ -126,7 +121,7 @@ def test_the_bridger_returns_proven_paths_or_nothing(cell, segments, agent):
     assert found >= 4
 
 
-def test_rollouts_stop_once_enough_have_arrived(world, segments, agent):
+def test_rollouts_stop_once_enough_have_arrived(env, segments, agent):
     """Those that arrived by then are the same rollouts; nobody stands beyond the last step.
 
     Enough must arrive of each segment: the quick ones wait for the others.
@@ -135,7 +130,7 @@ def test_rollouts_stop_once_enough_have_arrived(world, segments, agent):
     index, spread = jnp.repeat(jnp.array([0, 5]), 6), jnp.tile(joint.spreads(6), 2)
     key = jax.random.key(0)
     (everyone, arrived), (few, early) = (
-        jax.jit(lambda n=n: joint.rollouts(world, net, policy, index, spread, key, n))()
+        jax.jit(lambda n=n: joint.rollouts(env, net, policy, index, spread, key, n))()
         for n in (None, 3)
     )
     chosen = np.asarray(early)
@@ -177,14 +172,13 @@ def test_a_wider_spread_is_bolder_and_none_is_the_mode(agent):
 
 def test_planning_checks_moves_more_finely_than_training(cell, segments):
     config = joint.JointAgentConfig()
-    trained, used = (make(cell, segments, config) for make in (joint.make_world,
-                                                               joint.planning_world))  # fmt: skip
+    trained, used = (make(cell, segments, config) for make in (joint.make_env, joint.planning_env))
     assert trained.config.edge_samples == 3 and used.config.edge_samples == 4
     paper = joint.JointAgentConfig(reach=PaperReachConfig())
-    assert isinstance(joint.planning_world(cell, segments, paper), PaperReachWorld)
+    assert isinstance(joint.planning_env(cell, segments, paper), PaperReachEnv)
 
 
-def test_the_papers_world_serves_the_planner_too(cell, segments):
+def test_the_papers_env_serves_the_planner_too(cell, segments):
     """Its rollouts can be traced, and close with the goal."""
     config = joint.JointAgentConfig(training=CONFIG.training, reach=PaperReachConfig(horizon=4))
     net = joint.make_net(cell, config)
@@ -193,8 +187,8 @@ def test_the_papers_world_serves_the_planner_too(cell, segments):
 
     @jax.jit
     def run(key):
-        world = joint.planning_world(cell, segments, config)
-        return joint.rollouts(world, net, policy, index, spread, key)
+        env = joint.planning_env(cell, segments, config)
+        return joint.rollouts(env, net, policy, index, spread, key)
 
     q, arrived = run(jax.random.key(0))
     assert q.shape == (6, COUNT, 7) and arrived.shape == (COUNT,)

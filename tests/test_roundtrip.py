@@ -20,9 +20,11 @@ KINDS = st.lists(st.sampled_from(["hinge", "slide"]), min_size=2, max_size=4)
 
 
 @settings(
-    max_examples=25, deadline=None, derandomize=True,
+    max_examples=25,
+    deadline=None,
+    derandomize=True,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
-)  # fmt: skip
+)
 @given(kinds=KINDS, phases=st.integers(1, 4), carries=st.booleans(), seed=st.integers(0, 2**32 - 1))
 def test_files_say_and_do_what_was_planned(tmp_path, kinds, phases, carries, seed):
     rng = np.random.default_rng(seed)
@@ -86,5 +88,3 @@ def test_a_slide_is_an_extended_axis_in_millimetres(carried, tmp_path):
     cell.source.task.controller = ControllerSpec("tp", (("j1", "j0"),), "RO[1]=ON", "RO[1]=OFF")
     with pytest.raises(WorkcellError, match="'j1' and 'j0': one of them is a slide"):
         write_plan(tmp_path / "other.ls", cell, task, plan)
-
-

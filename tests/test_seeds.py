@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from hybrid_jax import presets, seeds, stages
+from hybrid_jax.runs import presets, seeds, stages
 from hybrid_jax.studies import handling, inspection
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -53,8 +53,11 @@ def own_seeds(text: str) -> list[str]:
             drawn = any(re.search(r"seed|first|scene|(?:^|_)tasks?(?:$|_)", n, re.I) for n in names)
         else:
             continue
-        large = [n.value for n in ast.walk(node)
-                 if isinstance(n, ast.Constant) and type(n.value) is int and n.value >= 10_000]
+        large = [
+            n.value
+            for n in ast.walk(node)
+            if isinstance(n, ast.Constant) and type(n.value) is int and n.value >= 10_000
+        ]
         found += [f"{name} {value}" for value in large if drawn]
     return found
 
@@ -67,8 +70,12 @@ def test_no_other_module_has_a_range_of_its_own():
 
 
 def test_seeds_of_a_modules_own_are_found():
-    for text in ("random_task(cell, 120_000 + i)", "TASKS = range(10_000, 11_000)",
-                 "FIRST_SCENE = 30_000", "study(seed=10_000)"):  # fmt: skip
+    for text in (
+        "random_task(cell, 120_000 + i)",
+        "TASKS = range(10_000, 11_000)",
+        "FIRST_SCENE = 30_000",
+        "study(seed=10_000)",
+    ):
         assert own_seeds(text), text
     assert not own_seeds("STEPS = 16_384\nrange(100)\njax.random.key(123_456)")
 

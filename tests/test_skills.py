@@ -9,16 +9,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 
+from hybrid_jax.demonstrations.filtering import POINTS
 from hybrid_jax.kernels import dualquat as dq
-from hybrid_jax.planner.loading import read_library
+from hybrid_jax.kernels import pose_paths
+from hybrid_jax.runs.load_planner import read_library
 from hybrid_jax.skills import mapping
-from hybrid_jax.skills.cleaning import POINTS
 from hybrid_jax.skills.costs import MAX_KEY_POSES, pad_task, segment_costs
-from hybrid_jax.skills.covering import cut_segment, map_pieces
-from hybrid_jax.skills.distance import beta, features
+from hybrid_jax.skills.feature_distance import beta, features
 from hybrid_jax.skills.library import SkillConfig, without
-from hybrid_jax.skills.segmentation import best_plans, missing_skills, optimal_plan
-from hybrid_jax.skills.tasks import random_task
+from hybrid_jax.skills.matching import cut_segment, map_pieces
+from hybrid_jax.skills.task_segmentation import best_plans, missing_skills, optimal_plan
+from hybrid_jax.tasks.registry import random_task
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +84,7 @@ def test_the_last_quarter_of_late_exact_is_the_demonstration_seen_from_the_goal(
         rng, apply = np.random.default_rng(6), jax.jit(mapping.late_exact)
         for demo in double(library.poses[:8]):
             start, goal = double(random_pose(rng)), double(random_pose(rng))
-            late = np.asarray(mapping.arc_phase(demo)) >= mapping.LATE
+            late = np.asarray(pose_paths.arc_phase(demo)) >= mapping.LATE
             wanted = mapping.ugp_goal(demo, start, goal)
             same(apply(demo, start, goal)[late], wanted[late], atol=1e-9)
             assert 10 < late.sum() < 50
@@ -260,7 +261,7 @@ def test_paper_map_on_real_demonstrations(shared):
     folder = shared / "data" / "robotasks"
     if not folder.is_dir():
         pytest.skip("real demonstrations are absent")
-    spaced = jax.jit(mapping.resample, static_argnames="count")
+    spaced = jax.jit(pose_paths.resample, static_argnames="count")
     for file in sorted(folder.glob("*.npz")):
         raw = jnp.asarray(np.load(file)["poses"])
         demos = jnp.stack([spaced(dq.from_parts(p[:, :3], p[:, 3:]), 101) for p in raw])

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from hybrid_jax.kernels.edges import measure_some
+from hybrid_jax.kernels.collision.motion_validation import measure_some
 from hybrid_jax.planner.smoothing import SmoothingConfig, shortcut_paths, smooth_paths
 
 DISCS = np.array([[0.5, 0.5, 0.3], [0.2, 0.9, 0.15], [5.0, 5.0, 0.1]])
@@ -97,8 +97,9 @@ def test_what_keeps_no_margin_is_not_smoothed():
     marks = np.ones(3, np.uint8)
     blocked, free = smooth_paths(
         lambda path, q, enough: clearances(np.zeros_like(path), q, enough),
-        [(through, marks), (beside, marks)], CONFIG,
-    )  # fmt: skip
+        [(through, marks), (beside, marks)],
+        CONFIG,
+    )
     assert blocked is None and free is not None
 
 

@@ -40,9 +40,9 @@ def test_import_is_quick():
 
 def test_nothing_is_printed_without_need(tmp_path):
     done = run(
-        "import hybrid_jax.agents.ppo, hybrid_jax.simulation.physics, hybrid_jax.planner.pipeline;"
-        + USE, XDG_CACHE_HOME=str(tmp_path),
-    )  # fmt: skip
+        "import hybrid_jax.agents.ppo, hybrid_jax.mjx.physics, hybrid_jax.planner.pipeline;" + USE,
+        XDG_CACHE_HOME=str(tmp_path),
+    )
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 

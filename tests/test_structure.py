@@ -2,6 +2,7 @@
 """The public names resolve, and imports go one way."""
 
 import ast
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -9,12 +10,44 @@ import pytest
 import hybrid_jax
 
 PACKAGE = Path(hybrid_jax.__file__).parent
-FORBIDDEN = {
-    "kernels": ("workcell", "ik", "feasibility", "skills", "simulation", "agents", "planner"),
-    "workcell": ("ik", "feasibility", "skills", "simulation", "agents", "planner"),
-    "skills": ("feasibility", "simulation", "agents", "planner"),
-}
-"""What a stage must not import."""
+LAYERS = (
+    {"errors"},
+    {"runtime"},
+    {"types"},
+    {"kernels"},
+    {"ik"},
+    {"workcell"},
+    {"mjx"},
+    {"tasks"},
+    {"demonstrations"},
+    {"skills"},
+    {"feasibility"},
+    {"contracts"},
+    {"envs"},
+    {"agents", "planner", "execution"},
+    {"reports"},
+    {"runs"},
+    {"baselines"},
+    {"studies", "export", "web"},
+    {"teach", "view"},
+    {"train", "plan", "evaluate", "check", "demos"},
+)
+"""Folders and modules of the package from the lowest up; one imports what stands below it only."""
+LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}
+SOURCES = [path for path in PACKAGE.rglob("*.py") if "_robots" not in path.parts]
+
+
+def imports_of(path: Path) -> list[str]:
+    """Modules that a file imports anywhere in it, with their full names."""
+    nodes = list(ast.walk(ast.parse(path.read_text())))
+    froms = [node for node in nodes if isinstance(node, ast.ImportFrom)]
+    names = [f"{node.module}.{alias.name}" for node in froms for alias in node.names]
+    return names + [a.name for node in nodes if isinstance(node, ast.Import) for a in node.names]
+
+
+def part_of(path: Path) -> str:
+    """Folder or module of the package's root that a file belongs to."""
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
 
 
 @pytest.mark.parametrize("name", hybrid_jax.__all__)
@@ -22,20 +55,44 @@ def test_public_names_resolve(name):
     assert getattr(hybrid_jax, name) is not None
 
 
-@pytest.mark.parametrize("stage", FORBIDDEN)
-def test_imports_go_one_way(stage):
-    for path in (PACKAGE / stage).glob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("hybrid_jax."):
-                part = node.module.split(".")[1]
-                assert part not in FORBIDDEN[stage], f"{path.name} imports {node.module}"
+def test_every_part_has_its_layer():
+    assert {part_of(path) for path in SOURCES} - {"__init__"} == set(LEVEL)
 
 
-def test_kernels_do_not_know_mujoco():
-    for path in (PACKAGE / "kernels").glob("*.py"):
-        assert "mujoco" not in [
-            alias.name
-            for node in ast.walk(ast.parse(path.read_text()))
-            if isinstance(node, ast.Import)
-            for alias in node.names
-        ]
+def test_the_root_holds_little():
+    assert len(list(PACKAGE.glob("*.py"))) <= 10 + 1  # and __init__
+
+
+@pytest.mark.parametrize("part", sorted(LEVEL))
+def test_imports_go_one_way(part):
+    for path in SOURCES:
+        if part_of(path) != part:
+            continue
+        for name in imports_of(path):
+            first, *rest = name.split(".")
+            if first != "hybrid_jax" or not rest or rest[0] == part or rest[0] not in LEVEL:
+                continue
+            assert LEVEL[rest[0]] < LEVEL[part], f"{path.relative_to(PACKAGE)} imports {name}"
+
+
+def test_modules_do_not_import_one_another_in_a_circle():
+    modules = {".".join(p.relative_to(PACKAGE.parent).with_suffix("").parts): p for p in SOURCES}
+    needs = {
+        name: {m for i in imports_of(path) for m in (i, i.rpartition(".")[0]) if m in modules}
+        for name, path in modules.items()
+    }
+    while leaves := [name for name, wanted in needs.items() if not wanted & set(needs) - {name}]:
+        for name in leaves:
+            del needs[name]
+    assert not needs, f"a circle among {sorted(needs)}"
+
+
+@pytest.mark.parametrize("folder", ["kernels", "contracts.py"])
+def test_what_must_not_know_mujoco_does_not(folder):
+    place = PACKAGE / folder
+    for path in [place] if place.suffix else place.rglob("*.py"):
+        assert not any(name.split(".")[0] == "mujoco" for name in imports_of(path))
+
+
+def test_layers_are_named_once():
+    assert all(not a & b for a, b in pairwise(LAYERS)) and len(LEVEL) == sum(map(len, LAYERS))

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """The study: disturbances, what runs add up to, and the film."""
 
+import functools
 import json
 from dataclasses import replace
 
@@ -9,27 +10,23 @@ import mujoco
 import numpy as np
 import pytest
 
-from hybrid_jax import evaluate, film, runfolder
+from hybrid_jax import evaluate
+from hybrid_jax.baselines.ablations import ABLATIONS, ablated, straight_bridger
 from hybrid_jax.errors import InputError, RunFolderError, UnknownNameError
-from hybrid_jax.planner.ablations import ABLATIONS, ablated, straight_bridger
-from hybrid_jax.presets import PRESETS
-from hybrid_jax.runfolder import Run
-from hybrid_jax.simulation.disturbances import (
-    CALM,
-    DISTURBED,
-    disturbed_model,
-    measured,
-    push,
-)
-from hybrid_jax.simulation.plant import Plant
-from hybrid_jax.simulation.runs import SortingReport, sort_scenes
-from hybrid_jax.simulation.sensing import sense_cell
-from hybrid_jax.simulation.sorting import ObjectReport, in_tray
-from hybrid_jax.skills.scenes import sample_scene
-from hybrid_jax.skills.task import yaw_of
-from hybrid_jax.studies import choosing, contestants, handlingpictures, inspection
+from hybrid_jax.execution.batches import SortingReport, sort_scenes
+from hybrid_jax.execution.contact_sensors import sense_cell
+from hybrid_jax.execution.disturbances import CALM, DISTURBED, disturbed_model, measured, push
+from hybrid_jax.execution.handling import ObjectReport, in_tray
+from hybrid_jax.execution.plant import Plant
+from hybrid_jax.reports import film
+from hybrid_jax.runs import run_folder
+from hybrid_jax.runs.presets import PRESETS
+from hybrid_jax.runs.run_folder import Run
 from hybrid_jax.studies import handling as study
+from hybrid_jax.studies import handling_pictures, inspection, methods, registry
 from hybrid_jax.studies.journal import Journal
+from hybrid_jax.tasks.scene_sampling import sample_scene
+from hybrid_jax.tasks.task import yaw_of
 from hybrid_jax.types import Source, Status
 from hybrid_jax.workcell.layout import home_qpos
 from hybrid_jax.workcell.load import load_workcell
@@ -98,7 +95,7 @@ def test_runs_add_up_with_their_intervals_and_causes():
 
 
 def test_a_contact_spoils_a_run_in_which_everything_was_placed():
-    from hybrid_jax.simulation.plant import Touch
+    from hybrid_jax.execution.plant import Touch
 
     run = replace(run_of(0, ["", ""]), touches=[Touch(1.0, "arm", "table")])
     assert not run.success
@@ -108,7 +105,7 @@ def test_a_contact_spoils_a_run_in_which_everything_was_placed():
 
 def test_the_chart_is_drawn(tmp_path):
     rows = [study.row_of(m, run_of(0, [c, ""])) for m, c in (("hybrid", ""), ("lfd", "no plan"))]
-    handlingpictures.draw_study(tmp_path / "study.png", rows)
+    handling_pictures.draw_study(tmp_path / "study.png", rows)
     assert (tmp_path / "study.png").stat().st_size > 10_000
 
 
@@ -134,7 +131,7 @@ def test_scenes_side_by_side_are_as_one_by_one(cell, planner):
 
 
 def test_ompl_plans_tasks_as_our_planner_does(cell, planner, planned):
-    from hybrid_jax.planner.ompl_tasks import OmplTasks
+    from hybrid_jax.baselines.ompl_tasks import OmplTasks
 
     tasks = OmplTasks(planner.cell, planner.config, 0.002)
     tasks.way_points(planned[0], jax.random.key(0))  # compiling counts as its time
@@ -170,22 +167,32 @@ def test_what_stands_out_over_the_rim_does_not_lie_in_its_tray(cell):
     tray, spec = task.tray(task.object("hammer").tray), task.object("hammer")
     middle = cell.model.body(tray.name).pos
     height = home_qpos(cell.model)[cell.source.layout.object_qpos[index] + 2] + tray.floor
-    for shift, up, lies in ((0.0, 0.0, True), (tray.half_size[0] - 0.01, 0.0, False),
-                            (0.0, 0.03, False)):  # fmt: skip
+    for shift, up, lies in (
+        (0.0, 0.0, True),
+        (tray.half_size[0] - 0.01, 0.0, False),
+        (0.0, 0.03, False),
+    ):
         poses = sample_scene(cell, 0)
-        poses[index] = [middle[0] + spec.slot[0] * (not shift) + shift, middle[1] + spec.slot[1],
-                        middle[2] + height + up, 1, 0, 0, 0]  # fmt: skip
+        poses[index] = [
+            middle[0] + spec.slot[0] * (not shift) + shift,
+            middle[1] + spec.slot[1],
+            middle[2] + height + up,
+            1,
+            0,
+            0,
+            0,
+        ]
         plant = Plant(sensed, poses, 25)
         mujoco.mj_kinematics(plant.model, plant.data)
         assert in_tray(plant, "hammer") == lies, (shift, up)
 
 
 def test_skills_alone_are_executed_and_their_collisions_counted(cell, planner):
-    from hybrid_jax.planner.unchecked import follow_skills
-    from hybrid_jax.simulation.execution import ExecutionConfig
-    from hybrid_jax.simulation.runs import planning
+    from hybrid_jax.baselines.unchecked import follow_skills
+    from hybrid_jax.execution.batches import planning
+    from hybrid_jax.execution.plan_execution import ExecutionConfig
 
-    plan = planning(planner, follow_skills, 0)
+    plan = planning(functools.partial(follow_skills, planner), 0)
     (report,) = sort_scenes(cell, plan, [3], ["block_2"], config=ExecutionConfig(tries=1))
     assert not report.success and report.reports[0].tries == 1
     assert any(touch.mover == "arm" and touch.thing == "enclosure" for touch in report.touches)
@@ -194,8 +201,14 @@ def test_skills_alone_are_executed_and_their_collisions_counted(cell, planner):
 @pytest.mark.parametrize("name", ABLATIONS)
 def test_each_ablation_replaces_one_part_only(cell, planner, name):
     found = ablated(name, planner, PRESETS["smoke"], lambda: "chooser")
-    parts = {"rrt": "bridge", "untrained": "bridge", "straight": "bridge", "rule": "switch",
-             "optimal_switch": "switch", "dqn": "choose"}  # fmt: skip
+    parts = {
+        "rrt": "bridge",
+        "untrained": "bridge",
+        "straight": "bridge",
+        "rule": "switch",
+        "optimal_switch": "switch",
+        "dqn": "choose",
+    }
     for part in ("bridge", "switch", "choose", "library", "scale", "config"):
         same = getattr(found, part) is getattr(planner, part)
         assert same == (part != parts[name])
@@ -203,7 +216,7 @@ def test_each_ablation_replaces_one_part_only(cell, planner, name):
 
 
 def test_the_straight_line_bridges_where_it_is_free(cell, planner):
-    from hybrid_jax.agents.segments import Segments
+    from hybrid_jax.contracts import Segments
 
     scenes = jax.tree.map(lambda a: np.stack([a, a]), cell.scene)
     home = np.asarray(cell.home)
@@ -222,9 +235,9 @@ def test_a_study_that_was_stopped_goes_on_with_what_it_lacks(cell, tmp_path, mon
             raise KeyboardInterrupt
         return [run_of(number, [""]) for number in numbers], 1.0
 
-    monkeypatch.setattr(study, "run_contestant", runs)
+    monkeypatch.setattr(study, "run_method", runs)
     monkeypatch.setattr(evaluate, "BLOCK", 2)
-    some = [contestants.Contestant(name, None, None) for name in ("hybrid", "lfd")]
+    some = [methods.Method(name, None, None) for name in ("hybrid", "lfd")]
     run, out = Run(tmp_path, cell, "smoke", 0), tmp_path / "study.json"
     seeds = range(7, 10)
     with pytest.raises(KeyboardInterrupt):
@@ -271,8 +284,8 @@ def test_an_ablation_that_is_none_is_refused(planner):
 
 
 def test_a_study_without_methods_is_refused(cell, tmp_path, monkeypatch):
-    monkeypatch.setattr(contestants, "contestant", lambda *_: None)
-    monkeypatch.setattr(runfolder, "open_run", lambda _: Run(tmp_path, cell, "smoke", 0))
+    monkeypatch.setattr(methods, "make_method", lambda *_: None)
+    monkeypatch.setattr(run_folder, "open_run", lambda _: Run(tmp_path, cell, "smoke", 0))
     with pytest.raises(InputError, match="nothing is left to compare: ompl"):
         evaluate.main(tmp_path, tmp_path / "a.json", methods=("ompl",))
 
@@ -288,8 +301,8 @@ def test_two_studies_do_not_share_a_file(tmp_path):
 
 
 def test_every_method_of_the_command_exists():
-    for one in choosing.STUDIES.values():
-        assert set(one.METHODS) <= set(contestants.METHODS)
+    for one in registry.STUDIES.values():
+        assert set(one.METHODS) <= set(methods.METHODS)
 
 
 def test_what_the_study_cannot_do_is_said(cell, tmp_path):
@@ -301,7 +314,7 @@ def test_what_the_study_cannot_do_is_said(cell, tmp_path):
         evaluate.main(tmp_path, tmp_path / "out.json")
     run = Run(tmp_path, cell, "smoke", 0)
     with pytest.raises(UnknownNameError, match="hybrid"):
-        contestants.contestant("hybird", run, None)
+        methods.make_method("hybird", run, None)
 
 
 def test_a_run_of_another_cell_is_refused(cell, tmp_path):
@@ -315,5 +328,6 @@ def test_a_run_of_another_cell_is_refused(cell, tmp_path):
     (folder / "other.toml").write_text(cell.source.path.with_suffix(".toml").read_text())
     other = load_workcell(folder / "other.xml")
     with pytest.raises(RunFolderError, match="was trained for cell 'other'"):
-        contestants.contestant("paper", Run(tmp_path / "a", cell, "smoke", 0),
-                         Run(tmp_path / "b", other, "paper", 0))  # fmt: skip
+        methods.make_method(
+            "paper", Run(tmp_path / "a", cell, "smoke", 0), Run(tmp_path / "b", other, "paper", 0)
+        )

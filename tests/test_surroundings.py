@@ -13,8 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hybrid_jax import artifacts, compilecache, devices, inputfiles, terminal
-from hybrid_jax.artifacts import write_text
+from hybrid_jax.demonstrations.demonstration import (
+    check_demonstration,
+    load_demonstration,
+    load_demonstrations,
+    save_demonstration,
+)
+from hybrid_jax.demonstrations.importing import read_recording
 from hybrid_jax.errors import (
     DemonstrationError,
     HybridJaxError,
@@ -23,16 +28,11 @@ from hybrid_jax.errors import (
     UnknownNameError,
     WorkcellError,
 )
-from hybrid_jax.inputfiles import MOST_TEXT, read_text
-from hybrid_jax.runfolder import create_run, read_config
-from hybrid_jax.skills.demonstration import (
-    check_demonstration,
-    load_demonstration,
-    load_demonstrations,
-    save_demonstration,
-)
-from hybrid_jax.skills.importing import read_recording
-from hybrid_jax.skills.tasks import read_task
+from hybrid_jax.runs.run_folder import create_run, open_run, read_config
+from hybrid_jax.runtime import artifacts, compile_cache, devices, input_files, terminal
+from hybrid_jax.runtime.artifacts import write_text
+from hybrid_jax.runtime.input_files import MOST_TEXT, read_text
+from hybrid_jax.tasks.registry import read_task
 from hybrid_jax.workcell.assets import robots_folder
 from hybrid_jax.workcell.description import read_task_data
 
@@ -60,9 +60,11 @@ def test_pipes_devices_and_giants_are_refused_at_once(cell, tmp_path):
     with giant.open("wb") as file:
         file.truncate(MOST_TEXT + 1)
     for path, words in (
-        (pipe, "no regular file"), (Path("/dev/zero"), "no regular file"),
-        (giant, "at most 32 MiB"), (tmp_path / "none", "No such file"),
-    ):  # fmt: skip
+        (pipe, "no regular file"),
+        (Path("/dev/zero"), "no regular file"),
+        (giant, "at most 32 MiB"),
+        (tmp_path / "none", "No such file"),
+    ):
         found = timed(5, lambda path=path: read_task(cell, path))
         assert isinstance(found, TaskError) and words in str(found)
     for reader in (read_task_data, read_recording):
@@ -98,7 +100,7 @@ def archive(path, **sizes):
 
 def test_archives_are_not_unpacked_before_they_are_looked_at(tmp_path, monkeypatch):
     archive(tmp_path / "a.npz", unused=192 << 20)
-    monkeypatch.setattr(inputfiles, "MOST_ARRAYS", 64 << 20)
+    monkeypatch.setattr(input_files, "MOST_ARRAYS", 64 << 20)
     began = time.monotonic()
     with pytest.raises(DemonstrationError, match="'poses' is missing"):
         read_recording(tmp_path / "a.npz")
@@ -111,8 +113,10 @@ HEADER = "time [s], x [m], y [m], z [m], qw, qx, qy, qz, gripper\n"
 
 
 def recording(path, begin, header=HEADER, step=0.05):
-    rows = [f"{begin + step * i:.3f}, {0.4 + 0.01 * i}, .1, .3, 1, 0, 0, 0, {int(i > 15)}"
-            for i in range(30)]  # fmt: skip
+    rows = [
+        f"{begin + step * i:.3f}, {0.4 + 0.01 * i}, .1, .3, 1, 0, 0, 0, {int(i > 15)}"
+        for i in range(30)
+    ]
     path.write_text(header + "\n".join(rows) + "\n")
     return path
 
@@ -163,7 +167,7 @@ def test_names_of_unfinished_files_are_refused_and_others_kept(tmp_path):
         ("fpi", "guides = 2", "guides = 1000000000", "guides is 1000000000"),
         ("fpi", "length = 0.096", "length = -0.096", "length is -0.096"),
     ],
-)  # fmt: skip
+)
 def test_each_number_of_the_task_data_that_cannot_be_is_named(tmp_path, name, old, new, words):
     text = (robots_folder() / "workcells" / f"{name}.toml").read_text()
     assert old in text
@@ -190,6 +194,15 @@ def test_two_runs_that_begin_at_once_get_a_folder_each(tmp_path, monkeypatch):
         create_run("fpi", "smoke", 0, found[0])
 
 
+def test_the_newest_run_of_a_cell_is_the_one_with_the_largest_number(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    create_run("fpi", "smoke", 0, Path("runs/fpi-999"))
+    newest = create_run("fpi", "smoke", 0, Path("runs/fpi-1000"))
+    create_run("fpi", "smoke", 0, Path("runs/fpi-2-001"))  # a cell that is called fpi-2
+    assert open_run(None, "fpi").folder == newest.folder
+    assert create_run("fpi", "smoke", 0, None).folder == Path("runs/fpi-1001")
+
+
 def test_a_full_disk_names_the_file(tmp_path, monkeypatch):
     def full(self, content):
         raise OSError(28, "No space left on device")
@@ -206,7 +219,7 @@ def test_no_home_means_no_cache_and_no_traceback(monkeypatch):
 
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     monkeypatch.setattr(Path, "home", none)
-    assert compilecache._caches() is None
+    assert compile_cache._caches() is None
 
 
 def test_cores_are_counted_on_any_system(monkeypatch):
@@ -217,9 +230,11 @@ def test_cores_are_counted_on_any_system(monkeypatch):
 
 def test_a_platform_that_is_not_there_is_said_in_a_sentence():
     done = subprocess.run(
-        [sys.executable, "-m", "hybrid_jax.check", "fpi", "--quiet"], capture_output=True,
-        text=True, env={**os.environ, "JAX_PLATFORMS": "cuda", "JAX_ENABLE_X64": "1"},
-    )  # fmt: skip
+        [sys.executable, "-m", "hybrid_jax.check", "fpi", "--quiet"],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "JAX_PLATFORMS": "cuda", "JAX_ENABLE_X64": "1"},
+    )
     assert done.returncode == terminal.BAD_INPUT
     assert "error: JAX has no device of the platforms 'cuda'" in done.stderr
     assert "Traceback" not in done.stderr

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from pages import come_near, drag, press, says, wait_for
 
+from hybrid_jax.demonstrations.demonstration import check_demonstration, load_demonstration
 from hybrid_jax.errors import DemonstrationError
-from hybrid_jax.skills.demonstration import check_demonstration, load_demonstration
 from hybrid_jax.teach.recorder import Recorder
 
 

@@ -9,7 +9,7 @@ import toppra.algorithm
 import toppra.constraint
 
 from hybrid_jax.errors import InputError
-from hybrid_jax.kernels.pathspeed import fastest_speeds
+from hybrid_jax.kernels.toppra import fastest_speeds
 from hybrid_jax.planner.timing import TimingConfig, time_parameterize
 
 toppra.setup_logging("ERROR")
@@ -42,9 +42,12 @@ def test_speeds_are_those_of_toppra(seed):
     wanted = toppra.algorithm.TOPPRA(limits, path, gridpoints=grid).compute_parameterization(0, 0)
     padded = np.concatenate([grid, grid[-1:].repeat(8)])
     rows = (
-        path(padded, 1), path(padded, 2), np.diff(padded, append=padded[-1]),
-        *(np.tile(limit, (len(padded), 1)) for limit in (speed, rate)), np.full(len(padded), 1e9),
-    )  # fmt: skip
+        path(padded, 1),
+        path(padded, 2),
+        np.diff(padded, append=padded[-1]),
+        *(np.tile(limit, (len(padded), 1)) for limit in (speed, rate)),
+        np.full(len(padded), 1e9),
+    )
     found = np.asarray(jax.jit(fastest_speeds)(*(a.astype(np.float32) for a in rows)), float)
     assert found.shape == padded.shape and (found[POINTS - 1 :] == 0).all(), "ends at rest"
     found = found[:POINTS]

@@ -8,12 +8,13 @@ import jax
 import pytest
 
 from hybrid_jax.agents import joint, networks, training
-from hybrid_jax.agents.segments import take, with_room
-from hybrid_jax.planner.harvest import harvest
+from hybrid_jax.contracts import take
+from hybrid_jax.envs.segments import with_room
+from hybrid_jax.planner.infeasible_segments import harvest
 from hybrid_jax.planner.lfd import optimal_chooser
-from hybrid_jax.planner.loading import read_library
-from hybrid_jax.presets import DEFAULT
-from hybrid_jax.seeds import TRAINING, VALIDATION
+from hybrid_jax.runs.load_planner import read_library
+from hybrid_jax.runs.presets import DEFAULT
+from hybrid_jax.runs.seeds import TRAINING, VALIDATION
 
 CONFIG = replace(DEFAULT.joint, training=replace(DEFAULT.joint.training, steps=1_000_000))
 TESTED = 100
@@ -24,9 +25,15 @@ def gaps(cell, tasks):
     """Infeasible segments of tasks, as a training collects them."""
     config = DEFAULT.planner
     found = harvest(
-        cell, read_library(), optimal_chooser, config.skills, config.first_look, 0.1,
-        tasks=tasks, seed=0,
-    )  # fmt: skip
+        cell,
+        read_library(),
+        optimal_chooser,
+        config.skills,
+        config.first_look,
+        0.1,
+        tasks=tasks,
+        seed=0,
+    )
     return with_room(cell, found, CONFIG.reach.margin)
 
 
@@ -40,9 +47,9 @@ def segments(cell):
 def test_it_solves_unseen_segments_by_what_it_learned(cell, segments):
     some, unseen = segments
     net = joint.make_net(cell, CONFIG)
-    world = joint.make_world(cell, some, CONFIG)
+    env = joint.make_env(cell, some, CONFIG)
     untrained = networks.blank_policy(net, joint.observation_length(cell, CONFIG))
-    trained = training.train(world, net, CONFIG.training).policy()
+    trained = training.train(env, net, CONFIG.training).policy()
     before, after = (
         joint.success_rates(cell, net, policy, CONFIG, unseen, jax.random.key(0))[0]
         for policy in (untrained, trained)

@@ -11,14 +11,14 @@ import mujoco
 import numpy as np
 import pytest
 
+from hybrid_jax.contracts import PlanResult
 from hybrid_jax.planner import timing
-from hybrid_jax.planner.joints import plan_joint_motion
 from hybrid_jax.planner.pipeline import plan_motion
-from hybrid_jax.planner.records import PlanResult
+from hybrid_jax.planner.point_to_point import plan_joint_motion
 from hybrid_jax.planner.turns import nearest_goal, plan_in_turns, turns_from, winding
-from hybrid_jax.skills.handling import handling_task
-from hybrid_jax.skills.scenes import sample_scene
-from hybrid_jax.skills.task import Task
+from hybrid_jax.tasks.handling import handling_task
+from hybrid_jax.tasks.scene_sampling import sample_scene
+from hybrid_jax.tasks.task import Task
 from hybrid_jax.types import Status, Trajectory
 from hybrid_jax.workcell.compile import compile_workcell
 
@@ -157,9 +157,11 @@ def test_a_task_ends_in_the_reading_nearest_to_its_start(turning, start, end, fo
 
 def test_a_joint_without_limits_may_be_at_home_anywhere():
     """Starts are brought within half a turn of home, and that is inside what is planned in."""
-    model = mujoco.MjModel.from_xml_string(TURNING.replace(
-        "</mujoco>", '<keyframe><key name="home" qpos="0 4 0"/></keyframe></mujoco>'
-    ))
+    model = mujoco.MjModel.from_xml_string(
+        TURNING.replace(
+            "</mujoco>", '<keyframe><key name="home" qpos="0 4 0"/></keyframe></mujoco>'
+        )
+    )
     cell = compile_workcell(model, "turned", None)
     result = plan_joint_motion(cell, [0, 0.5, 0], [0, 1.0, 0], key=jax.random.key(0))
     assert result.status is Status.OK, result.detail
@@ -200,8 +202,10 @@ print(result.status.name)
 
 def test_double_precision_elsewhere_does_not_matter_here():
     done = subprocess.run(
-        [sys.executable, "-c", DOUBLE], capture_output=True, text=True,
+        [sys.executable, "-c", DOUBLE],
+        capture_output=True,
+        text=True,
         env={**os.environ, "JAX_ENABLE_X64": "1"},
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == "OK"

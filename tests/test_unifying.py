@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from hybrid_jax.kernels.collision import clearance
+from hybrid_jax.kernels.collision.clearance import clearance
 from hybrid_jax.workcell.compile import compile_workcell
-from hybrid_jax.workcell.unifying import unify_shapes
+from hybrid_jax.workcell.shape_padding import unify_shapes
 
 ARM = """
 <mujoco><compiler angle="radian"/><worldbody>

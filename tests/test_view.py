@@ -11,24 +11,24 @@ import numpy as np
 import pytest
 from pages import choose, come_near, drag, open_tab, press, says, wait_for
 
+from hybrid_jax.contracts import PlanResult
 from hybrid_jax.errors import InputError, TaskError, WorkcellError
-from hybrid_jax.feasibility.judging import Reason
-from hybrid_jax.kernels.collision import clearance
-from hybrid_jax.planner.records import PlanResult
-from hybrid_jax.planner.scenes import in_scene, phase_scene, segment_kinds
-from hybrid_jax.runfolder import open_run
-from hybrid_jax.skills.task import as_rows
-from hybrid_jax.skills.tasks import random_task, read_task, task_values, with_key_poses
+from hybrid_jax.feasibility.evaluation import Reason
+from hybrid_jax.kernels.collision.clearance import clearance
+from hybrid_jax.planner.phase_scenes import in_scene, phase_scene, segment_kinds
+from hybrid_jax.runs.run_folder import open_run
+from hybrid_jax.tasks.registry import random_task, read_task, task_values, with_key_poses
+from hybrid_jax.tasks.task import as_rows
 from hybrid_jax.types import Status
-from hybrid_jax.webserver import is_own, open_server
+from hybrid_jax.web.server import is_own, open_server
 from hybrid_jax.workcell.assets import robots_folder
 
 pytest.importorskip("viser")
 
-from hybrid_jax.view import curves, mapcloud  # noqa: E402
+from hybrid_jax.view import curves, map_cloud
 from hybrid_jax.view.motion import motion_of  # noqa: E402
 from hybrid_jax.view.page import ViewPage  # noqa: E402
-from hybrid_jax.view.robotlook import arm_bodies  # noqa: E402
+from hybrid_jax.view.robot_look import arm_bodies
 
 
 def test_frames_show_what_the_plan_does(cell, planned):
@@ -57,17 +57,17 @@ def test_the_cloud_shows_what_is_chosen():
     rng = np.random.default_rng(0)
     reason = rng.integers(0, len(Reason), (4, 3, 2, 5)).astype(np.uint8)
     fmap = type("Map", (), {"reason": reason, "lower": np.zeros(3), "spacing": 0.1})()
-    points, shares = mapcloud.centres(fmap), mapcloud.voxel_shares(fmap, None)
+    points, shares = map_cloud.centres(fmap), map_cloud.voxel_shares(fmap, None)
     np.testing.assert_allclose(shares.sum(axis=-1), 1.0)
-    every, share = mapcloud.chosen_points(shares, points, None, None, 0.0)
+    every, share = map_cloud.chosen_points(shares, points, None, None, 0.0)
     assert len(every) == 24
     expected = (reason == Reason.FEASIBLE).mean(axis=-1).ravel()
     np.testing.assert_allclose(share, expected)
     kind = int(Reason.UNREACHABLE)
-    some, share = mapcloud.chosen_points(shares, points, kind, 0, 0.22)
+    some, share = map_cloud.chosen_points(shares, points, kind, 0, 0.22)
     assert np.allclose(some[:, 0], 0.2) and (share > 0).all()
     assert len(some) == int((reason[2] == kind).any(axis=-1).sum())
-    one = mapcloud.voxel_shares(fmap, 3)
+    one = map_cloud.voxel_shares(fmap, 3)
     np.testing.assert_array_equal(one.argmax(axis=-1), reason[..., 3])
 
 
@@ -164,7 +164,7 @@ def test_the_look_stands_where_the_arm_stands(page):
 
 
 def test_a_look_of_another_arm_is_refused(page, tmp_path):
-    from hybrid_jax.view.robotlook import RobotLook
+    from hybrid_jax.view.robot_look import RobotLook
 
     body = "<body><joint type='hinge'/><geom size='0.1'/></body>"
     (tmp_path / "one.xml").write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
@@ -184,7 +184,7 @@ def test_a_scene_without_room_is_said_and_the_task_stays(page, monkeypatch):
         raise TaskError("no room for the objects")
 
     before = page.task.task
-    monkeypatch.setattr("hybrid_jax.view.taskpanel.sample_scene", no_room)
+    monkeypatch.setattr("hybrid_jax.view.task_panel.sample_scene", no_room)
     page.task.scene.value = 5
     wait_for(lambda: page.status.content == "**Not done:** no room for the objects")
     assert page.task.task is before
@@ -266,9 +266,12 @@ def test_the_page_goes_on_after_an_error(page, monkeypatch):
 
 @pytest.mark.parametrize(
     "host, port, words",
-    [("127.0.0.1", 70000, "from 1 to 65535"), ("127.0.0.1", 0, "from 1 to 65535"),
-     ("203.0.113.7", 8300, "cannot listen at '203.0.113.7'")],
-)  # fmt: skip
+    [
+        ("127.0.0.1", 70000, "from 1 to 65535"),
+        ("127.0.0.1", 0, "from 1 to 65535"),
+        ("203.0.113.7", 8300, "cannot listen at '203.0.113.7'"),
+    ],
+)
 def test_addresses_that_cannot_be_listened_at_are_refused(host, port, words):
     with pytest.raises(InputError, match=words):
         open_server(host, port, "test")

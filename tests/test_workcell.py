@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hybrid_jax.errors import UnknownNameError, WorkcellError
-from hybrid_jax.skills.handling import handling_task
-from hybrid_jax.skills.scenes import sample_scene
+from hybrid_jax.tasks.handling import handling_task
+from hybrid_jax.tasks.scene_sampling import sample_scene
 from hybrid_jax.workcell.load import load_workcell
 
 ARM = """<mujoco><worldbody>{world}<body name="arm" pos="0 0 .2"><joint name="a" range="-3 3"/>
@@ -121,8 +121,16 @@ def test_collision_models_cover_the_real_links(cell, shared, tmp_path):
         path.write_text(json.dumps(mapping))
         xml = robots_folder() / model / f"{model}.xml"
         done = subprocess.run(
-            [sys.executable, str(checker), str(xml), robot, str(path), "--samples", "1000",
-             "--strict"],
+            [
+                sys.executable,
+                str(checker),
+                str(xml),
+                robot,
+                str(path),
+                "--samples",
+                "1000",
+                "--strict",
+            ],
             capture_output=True,
             text=True,
         )
@@ -145,7 +153,7 @@ iyz="0"/></inertial><collision><origin xyz="0 0 .15"/><geometry><box size=".04 .
 
 
 def test_a_urdf_arm_is_loaded_with_its_last_link_as_tool(tmp_path):
-    from hybrid_jax.kernels.collision import clearance
+    from hybrid_jax.kernels.collision.clearance import clearance
     from hybrid_jax.kernels.kinematics import tool_pose
 
     (tmp_path / "two.urdf").write_text(URDF)

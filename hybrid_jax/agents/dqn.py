@@ -17,28 +17,29 @@ import optax
 from brax.training import replay_buffers
 from jax import Array
 
-from hybrid_jax.agents import controllers
-from hybrid_jax.agents.controllers import Controllers
+from hybrid_jax.agents import hdqn_networks
+from hybrid_jax.agents.hdqn_networks import Controllers
 from hybrid_jax.errors import InputError
 from hybrid_jax.skills.costs import SegmentCosts
-from hybrid_jax.skills.segmentation import Plan
-from hybrid_jax.types import pytree
+from hybrid_jax.skills.task_segmentation import SkillPlan
+from hybrid_jax.types import Record, pytree
 
 FAILURE = 5.0
-"""Cost of a dead end: above what any admissible plan of eight key poses can cost [m]."""
+"""Cost of a dead end [m]: more than any admissible plan of eight key poses can cost."""
 
 
 @dataclass(frozen=True)
 class DqnConfig:
-    """Settings."""
+    """Settings of a training."""
 
     batch: int = 256
+    """Samples of a gradient step, for each network."""
     discount: float = 1.0
     """Below 1 it prefers many cheap segments to few: costs that come later count less."""
     epsilon_start: float = 0.95
     epsilon_end: float = 0.05
     epsilon_decay: float = 2000.0
-    """Tries of skills in which exploration falls by a factor e."""
+    """Tries of skills over which exploration falls by a factor e."""
     polyak: float = 0.02
     """Soft update of the target network (`tau` in the paper's table)."""
     learning_rate: float = 3e-3
@@ -65,8 +66,8 @@ class DqnConfig:
 
 
 @pytree
-class DqnState:
-    """Everything that a training continues from."""
+class DqnState(Record):
+    """State of a training; with it alone the training goes on."""
 
     params: Any
     target: Any
@@ -74,76 +75,82 @@ class DqnState:
     task_buffer: Any
     motion_buffer: Any
     task: Array
-    """`[env]` task of each copy."""
+    """`[env]` index of each copy's task."""
     at: Array
-    """`[env]` key pose reached."""
+    """`[env]` index of the key pose that each copy has reached."""
     key: Array
     round: Array
     episodes: Array
-    """Tasks carried to their end so far."""
+    """Number of tasks that have ended so far."""
 
 
 def make_controllers(config: DqnConfig) -> Controllers:
-    """The networks of a configuration."""
-    return controllers.make_controllers(config.hidden_motion, config.hidden_task, config.discount)
+    """Networks with the sizes of a configuration."""
+    return hdqn_networks.make_controllers(config.hidden_motion, config.hidden_task, config.discount)
 
 
 def _explore(key: Array, values: Array, epsilon: Array) -> Array:
-    """Epsilon-greedy among the choices that are not minus infinity."""
+    """Epsilon-greedy index into `[choice]` values; those of minus infinity are never chosen."""
     key_kind, key_choice = jax.random.split(key)
     uniform = jax.random.categorical(key_choice, jnp.where(jnp.isfinite(values), 0.0, -jnp.inf))
     return jnp.where(jax.random.uniform(key_kind) < epsilon, uniform, jnp.argmax(values))
 
 
 def _act(nets: Controllers, config: DqnConfig, tasks: SegmentCosts, state: DqnState, opinions, key):
-    """One segment of every copy: records for both replays, and where the copies stand then."""
+    """One segment of every copy: records for both replays, and each copy's next task and place."""
     best, skills = opinions
-    tried = state.round * config.envs * config.tries
+    attempts = state.round * config.envs * config.tries
     epsilon = config.epsilon_end + (config.epsilon_start - config.epsilon_end) * jnp.exp(
-        -tried / config.epsilon_decay
+        -attempts / config.epsilon_decay
     )
 
-    def one(task, at, key):
+    def cover_segment(task, at, key):
         key_end, *key_skills = jax.random.split(key, config.tries + 1)
-        ends = controllers.end_values(nets, state.params, best[task], tasks.count[task], at)
-        stuck = ~jnp.any(controllers.reachable(best[task], at))
-        to = jnp.where(stuck, at, _explore(key_end, ends, epsilon))
+        values = hdqn_networks.end_values(nets, state.params, best[task], tasks.count[task], at)
+        dead_end = ~jnp.any(hdqn_networks.reachable(best[task], at))
+        to = jnp.where(dead_end, at, _explore(key_end, values, epsilon))
         pick = functools.partial(_explore, values=skills[task, at, to], epsilon=epsilon)
         skill = jax.vmap(pick)(jnp.stack(key_skills))
         reward = -tasks.cost[task, at, to, skill]
-        gained = jnp.where(stuck, -FAILURE, jnp.max(reward))
-        done = stuck | (to == tasks.count[task] - 1)
+        gained = jnp.where(dead_end, -FAILURE, jnp.max(reward))
+        done = dead_end | (to == tasks.count[task] - 1)
         option = {"task": task, "at": at, "to": to, "reward": gained, "done": done * 1.0}
         segment = {"task": task, "at": at, "to": to}
         tries = {k: jnp.broadcast_to(v, config.tries) for k, v in segment.items()}
         # a dead end teaches the task-controller, not the motion-controller: nothing was tried
-        return option, tries | {"skill": skill, "reward": jnp.where(stuck, 0.0, reward),
-                                "weight": jnp.broadcast_to(1.0 - stuck, config.tries)}  # fmt: skip
+        return option, tries | {
+            "skill": skill,
+            "reward": jnp.where(dead_end, 0.0, reward),
+            "weight": jnp.broadcast_to(1.0 - dead_end, config.tries),
+        }
 
     key_task, key = jax.random.split(key)
-    options, tries = jax.vmap(one)(state.task, state.at, jax.random.split(key, config.envs))
+    # options `[env]`, tries `[env, try]`
+    options, tries = jax.vmap(cover_segment)(
+        state.task, state.at, jax.random.split(key, config.envs)
+    )
     tries = jax.tree.map(lambda a: a.reshape(-1), tries)
-    fresh = jax.random.randint(key_task, (config.envs,), 0, tasks.count.size)
+    new_tasks = jax.random.randint(key_task, (config.envs,), 0, tasks.count.size)
     done = options["done"] > 0
-    return options, tries, jnp.where(done, fresh, state.task), jnp.where(done, 0, options["to"])
+    return options, tries, jnp.where(done, new_tasks, state.task), jnp.where(done, 0, options["to"])
 
 
 def _loss(params, nets: Controllers, config: DqnConfig, tasks, target, best, options, tries):
-    """Huber losses of both controllers."""
+    """Huber losses of both controllers on a batch of options and a batch of tries."""
 
     def task_error(r):
         opinion, count = best[r["task"]], tasks.count[r["task"]]
-        later = controllers.end_values(nets, target, opinion, count, r["to"])
-        most = jnp.where(jnp.any(jnp.isfinite(later)), jnp.max(later), -FAILURE)
-        wanted = r["reward"] + config.discount * (1 - r["done"]) * most
+        next_values = hdqn_networks.end_values(nets, target, opinion, count, r["to"])
+        next_best = jnp.where(jnp.any(jnp.isfinite(next_values)), jnp.max(next_values), -FAILURE)
+        td_target = r["reward"] + config.discount * (1 - r["done"]) * next_best
         segment = opinion[r["at"], r["to"]]
         segment = jnp.where(jnp.isfinite(segment), segment, 0.0)  # stuck: it goes nowhere
-        rest = controllers.rest_value(nets, params, opinion, count, r["to"])
-        return optax.huber_loss(segment + rest, wanted)
+        remaining_value = hdqn_networks.rest_value(nets, params, opinion, count, r["to"])
+        return optax.huber_loss(segment + remaining_value, td_target)
 
     def motion_error(r):
         # the option ends with its one skill: the motion-controller sees a bandit
-        value = controllers.skill_value(
+        value = hdqn_networks.skill_value(
             nets, params, tasks, r["task"], r["at"], r["to"], r["skill"]
         )
         return r["weight"] * optax.huber_loss(value, r["reward"])
@@ -164,22 +171,31 @@ def _optimizer(config: DqnConfig):
 
 
 def _buffers(config: DqnConfig):
-    """Replay of segments and of tries."""
+    """Replay queues of options (segments) and of tries of skills."""
     option = {"task": 0, "at": 0, "to": 0, "reward": 0.0, "done": 0.0}
-    tried = {"task": 0, "at": 0, "to": 0, "skill": 0, "reward": 0.0, "weight": 0.0}
+    attempt = {"task": 0, "at": 0, "to": 0, "skill": 0, "reward": 0.0, "weight": 0.0}
     return tuple(
         replay_buffers.UniformSamplingQueue(
             config.replay, {k: jnp.asarray(v) for k, v in sample.items()}, config.batch
         )
-        for sample in (option, tried)
+        for sample in (option, attempt)
     )
 
 
 def initialize(tasks: SegmentCosts, config: DqnConfig, key: Array | None = None) -> DqnState:
-    """Fresh networks, empty replays; `key` stands in for the configuration's seed."""
-    key = jax.random.PRNGKey(config.seed) if key is None else key
-    key_nets, key_option, key_try, key_start, key = jax.random.split(key, 5)
-    params = controllers.initialize(make_controllers(config), key_nets)
+    """Start a training with fresh networks and empty replays.
+
+    Args:
+        tasks: `[task, ...]` costs of the training tasks.
+        config: settings.
+        key: random key; made from the configuration's seed if None.
+
+    Returns:
+        The state; its `task` and `at` are `[env]`.
+    """
+    root_key = jax.random.PRNGKey(config.seed) if key is None else key
+    key_nets, key_option, key_try, key_start, next_key = jax.random.split(root_key, 5)
+    params = hdqn_networks.initialize(make_controllers(config), key_nets)
     options, tries = _buffers(config)
     return DqnState(
         params=params,
@@ -189,7 +205,7 @@ def initialize(tasks: SegmentCosts, config: DqnConfig, key: Array | None = None)
         motion_buffer=tries.init(key_try),
         task=jax.random.randint(key_start, (config.envs,), 0, tasks.count.size),
         at=jnp.zeros(config.envs, int),
-        key=key,
+        key=next_key,
         round=jnp.zeros((), jnp.int32),
         episodes=jnp.zeros((), jnp.int32),
     )
@@ -203,8 +219,8 @@ def _learn(nets: Controllers, config: DqnConfig, tasks: SegmentCosts, best, stat
     grads, losses = jax.grad(_loss, has_aux=True)(
         state.params, nets, config, tasks, state.target, best, options, tries
     )
-    changes, optimizer = _optimizer(config).update(grads, state.optimizer, state.params)
-    params = optax.apply_updates(state.params, changes)
+    updates, optimizer = _optimizer(config).update(grads, state.optimizer, state.params)
+    params = optax.apply_updates(state.params, updates)
     target = optax.incremental_update(params, state.target, config.polyak)
     return state.replace(
         params=params,
@@ -216,8 +232,12 @@ def _learn(nets: Controllers, config: DqnConfig, tasks: SegmentCosts, best, stat
 
 
 def training_round(nets: Controllers, config: DqnConfig, tasks: SegmentCosts, state: DqnState, _):
-    """Every copy covers one segment; then both networks learn."""
-    opinions = controllers.best_values(nets, state.params, tasks)
+    """One round: every copy covers one segment, then both networks learn.
+
+    It has the form of a step of `jax.lax.scan`, with tasks `[task, ...]`: returns the next state,
+    and scalar metrics by name.
+    """
+    opinions = hdqn_networks.best_values(nets, state.params, tasks)
     key_act, key = jax.random.split(state.key)
     options, tries, task, at = _act(nets, config, tasks, state, opinions, key_act)
     option_buffer, try_buffer = _buffers(config)
@@ -241,20 +261,38 @@ def training_round(nets: Controllers, config: DqnConfig, tasks: SegmentCosts, st
 
 
 def make_trainer(tasks: SegmentCosts, config: DqnConfig, rounds: int):
-    """A compiled function that takes a state `rounds` rounds further."""
+    """Compile a training of some rounds.
+
+    Args:
+        tasks: `[task, ...]` costs of the training tasks.
+        config: settings.
+        rounds: how many one call does.
+
+    Returns:
+        A function from a state to the state after these rounds and metrics `[round]`.
+    """
     step = functools.partial(training_round, make_controllers(config), config, tasks)
     return jax.jit(lambda state: jax.lax.scan(step, state, length=rounds))
 
 
 def make_chooser(config: DqnConfig, params):
-    """The trained controllers as a function that the planner calls (a `SkillChooser`)."""
-    run = jax.jit(functools.partial(controllers.greedy_plans, make_controllers(config)))
+    """The trained controllers as a function that the planner calls.
 
-    def choose(costs: SegmentCosts) -> Plan:
-        one = jax.tree.map(lambda a: jnp.asarray(a)[None], costs)
-        records, total = jax.device_get(run(params, one))
+    Args:
+        config: settings of the training.
+        params: of both networks.
+
+    Returns:
+        A `SkillChooser`: from the costs `[a, b, skill]` of one task to its plan, as a list of
+        (from, to, skill); the list is empty where a dead end is met.
+    """
+    run = jax.jit(functools.partial(hdqn_networks.greedy_plans, make_controllers(config)))
+
+    def choose(costs: SegmentCosts) -> SkillPlan:
+        batch = jax.tree.map(lambda a: jnp.asarray(a)[None], costs)
+        records, total = jax.device_get(run(params, batch))
         if not np.isfinite(total[0]):
             return []
-        return [tuple(int(v) for v in row) for row in records[0] if row[0] >= 0]
+        return [(int(a), int(b), int(k)) for a, b, k in records[0] if a >= 0]
 
     return choose

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The DRL-Feasibility agent: trained on infeasible segments, used as best of many rollouts."""
+"""The DRL-Feasibility agent: trained on infeasible segments, used as the best of many rollouts."""
 
 import functools
 from collections.abc import Callable
@@ -10,25 +10,24 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from hybrid_jax.agents import networks, ppo, sac, worlds
-from hybrid_jax.agents.segments import Segments, refuse_infeasible, take
+from hybrid_jax.agents import networks, ppo, sac
+from hybrid_jax.contracts import Bridger, Segments, take
+from hybrid_jax.envs import base
+from hybrid_jax.envs.paper_reach import PaperReachConfig, PaperReachEnv
+from hybrid_jax.envs.reach import ReachConfig, ReachEnv
+from hybrid_jax.envs.segments import refuse_infeasible
 from hybrid_jax.kernels.batching import padded_chunks
-from hybrid_jax.kernels.collision import clearance_up_to
-from hybrid_jax.kernels.edges import paths_are_free
-from hybrid_jax.keys import fold_in
-from hybrid_jax.simulation.paperreach import PaperReachConfig, PaperReachWorld
-from hybrid_jax.simulation.reach import ReachConfig, ReachWorld
+from hybrid_jax.kernels.collision.clearance import clearance_up_to
+from hybrid_jax.kernels.collision.motion_validation import paths_are_free
+from hybrid_jax.runtime.keys import fold_in
 from hybrid_jax.types import Workcell
 
-Bridger = Callable[[Segments, Array], list[np.ndarray | None]]
-"""(segments, key) to collision-free way points from start to goal of each, or None."""
-
-TOGETHER = 16
+SEGMENTS_PER_CALL = 16
 """Segments that are bridged in one call."""
 RANKED = 32
-"""Way points of a rollout whose clearance ranks it; most are shorter."""
+"""Way points of a rollout at which clearance is measured to rank it."""
 WIDEST = 1.5
-"""Spread of the boldest rollout; the first follows the policy's mode, those between grow bolder."""
+"""Spread of the boldest rollout. The first follows the policy's mode; spreads grow evenly."""
 
 
 @dataclass(frozen=True)
@@ -36,53 +35,55 @@ class JointAgentConfig:
     """Training and use of the joint-space agent."""
 
     training: ppo.PpoConfig | sac.SacConfig = ppo.PpoConfig(epochs=2, entropy=0.0)
-    """Their type says which algorithm trains."""
+    """Settings of the training; their type selects the algorithm."""
     reach: ReachConfig | PaperReachConfig = ReachConfig()
-    """Their type says which world it learns in."""
+    """Rules of the environment; their type selects the environment."""
     rollouts: tuple[int, ...] = (4, 64)
-    """Rollouts of a planning call, and of the next one where it finds nothing."""
+    """Rollouts of a segment in the first attempt, and in each next one where the last failed."""
     enough: float = 0.5
-    """Share of them that must arrive before the others, which would be longer, are given up."""
+    """Share of the rollouts that must arrive; the others, which would be longer, are given up."""
     candidates: int = 4
-    """Shortest rollouts among which the best is picked."""
+    """Number of shortest rollouts among which the best is picked."""
     clearance_worth: float = 10.0
-    """Way of the joints that a metre of clearance is worth [rad/m], ..."""
+    """Length of a joint path that a metre of clearance is worth [rad/m]."""
     ample_clearance: float = 0.05
-    """... up to this clearance [m]."""
+    """Clearance above which more is worth nothing [m]."""
     edge_samples: int = 4
-    """Clearance checks along a move at planning time. With two, one path in ten is refused by the
-    exact check, and the mode of a policy that learned with two may insist on moves that planning
-    refuses: three is what it trains with."""
+    """Clearance checks along a move at planning time. With two, the exact check refuses one path
+    in ten, and a policy that learned with two may insist on moves that planning refuses. Training
+    uses three."""
 
 
-def world_kind(config: JointAgentConfig) -> type[ReachWorld] | type[PaperReachWorld]:
-    """The world that a configuration's rules are of."""
-    return PaperReachWorld if isinstance(config.reach, PaperReachConfig) else ReachWorld
+def env_kind(config: JointAgentConfig) -> type[ReachEnv] | type[PaperReachEnv]:
+    """Class of the environment that a configuration selects."""
+    return PaperReachEnv if isinstance(config.reach, PaperReachConfig) else ReachEnv
 
 
-def make_world(
+def make_env(
     cell: Workcell, segments: Segments, config: JointAgentConfig
-) -> ReachWorld | PaperReachWorld:
-    """The world of the agent with some segments."""
-    return world_kind(config)(cell, segments, config.reach)
+) -> ReachEnv | PaperReachEnv:
+    """The agent's training environment over segments with `[segment, joint]` ends [rad]."""
+    if isinstance(config.reach, PaperReachConfig):
+        return PaperReachEnv(cell, segments, config.reach)
+    return ReachEnv(cell, segments, config.reach)
 
 
-def planning_world(
+def planning_env(
     cell: Workcell, segments: Segments, config: JointAgentConfig
-) -> ReachWorld | PaperReachWorld:
-    """The same as it is used for planning: with finer checks."""
+) -> ReachEnv | PaperReachEnv:
+    """The environment for planning, with finer checks, over `[segment, joint]` ends [rad]."""
     if isinstance(config.reach, ReachConfig):
         config = replace(config, reach=replace(config.reach, edge_samples=config.edge_samples))
-    return make_world(cell, segments, config)
+    return make_env(cell, segments, config)
 
 
 def observation_length(cell: Workcell, config: JointAgentConfig) -> int:
-    """How many numbers the agent sees."""
-    return world_kind(config).observation_length(cell)
+    """Length of the agent's observation."""
+    return env_kind(config).observation_length(cell)
 
 
 def make_net(cell: Workcell, config: JointAgentConfig) -> networks.ActorCritic:
-    """Networks of the agent for a robot."""
+    """Networks of the agent for a cell's robot."""
     sizes = observation_length(cell, config), cell.home.size, config.training.hidden
     if isinstance(config.training, sac.SacConfig):
         return sac.make_networks(*sizes)
@@ -90,7 +91,7 @@ def make_net(cell: Workcell, config: JointAgentConfig) -> networks.ActorCritic:
 
 
 def rollouts(
-    world: ReachWorld | PaperReachWorld,
+    env: ReachEnv | PaperReachEnv,
     net: networks.ActorCritic,
     policy: networks.Policy,
     index: Array,
@@ -101,46 +102,46 @@ def rollouts(
     """Run one rollout for each entry of `index`, until they arrive or the horizon is reached.
 
     Args:
-        world: of the segments.
+        env: of the segments.
         net, policy: the trained agent.
-        index: `[rollout]` segment of each.
+        index: `[rollout]` segment of each rollout.
         spread: `[rollout]` 0 for the policy's mode, 1 for its samples, see `networks.act`.
         key: consumed.
-        enough: stop once so many of each segment have arrived; all if None.
+        enough: stop once so many rollouts of each segment have arrived; all if None.
 
     Returns:
-        Way points `[horizon + 2, rollout, joint]` that stay where an episode ended and close with
-        the goal, and whether each reached it.
+        Way points `[horizon + 2, rollout, joint]` [rad] from start to goal, the last state
+        repeated after an episode's end, and `[rollout]` True where the goal was reached.
     """
-    segments, count = world.segments, len(index)
-    asked = jnp.zeros(segments.start.shape[0], int).at[index].add(1)
-    wanted = asked if enough is None else jnp.minimum(enough, asked)
+    segments, count = env.segments, len(index)
+    per_segment = jnp.zeros(segments.start.shape[0], int).at[index].add(1)
+    target_count = per_segment if enough is None else jnp.minimum(enough, per_segment)
 
-    def going(carry):
+    def unfinished(carry):
         step, _, reached, _ = carry
-        arrived = jnp.zeros_like(wanted).at[index].add(reached)
-        return (step < world.config.horizon) & jnp.any(arrived < wanted)
+        arrived = jnp.zeros_like(target_count).at[index].add(reached)
+        return (step < env.config.horizon) & jnp.any(arrived < target_count)
 
     def advance(carry):
         step, state, reached, q = carry
-        obs = jax.vmap(world.observe)(state)
-        chosen = networks.act(net, policy, obs, jax.random.fold_in(key, step), spread[:, None])
-        move = jax.vmap(world.step)(state, chosen)
-        state = worlds.choose_states(reached, state, move.state)
-        return step + 1, state, reached | move.success, q.at[step].set(state.q)
+        obs = jax.vmap(env.observe)(state)
+        action = networks.act(net, policy, obs, jax.random.fold_in(key, step), spread[:, None])
+        result = jax.vmap(env.step)(state, action)
+        state = base.choose_states(reached, state, result.state)
+        return step + 1, state, reached | result.success, q.at[step].set(state.q)
 
-    first, last = segments.start[index], segments.goal[index]
-    state = jax.vmap(world.start)(index, first)
-    q = jnp.zeros((world.config.horizon, *first.shape), first.dtype)
+    start, goal = segments.start[index], segments.goal[index]
+    state = jax.vmap(env.start)(index, start)
+    q = jnp.zeros((env.config.horizon, *start.shape), start.dtype)
     steps, state, reached, q = jax.lax.while_loop(
-        going, advance, (0, state, jnp.zeros(count, bool), q)
+        unfinished, advance, (0, state, jnp.zeros(count, bool), q)
     )
-    done = jnp.arange(world.config.horizon)[:, None, None] >= steps
-    return jnp.concatenate([first[None], jnp.where(done, state.q, q), last[None]]), reached
+    done = jnp.arange(env.config.horizon)[:, None, None] >= steps
+    return jnp.concatenate([start[None], jnp.where(done, state.q, q), goal[None]]), reached
 
 
 def spreads(count: int) -> Array:
-    """Spread of each of `count` rollouts of a segment, from the mode to the boldest."""
+    """Spreads `[rollout]` of `count` rollouts of a segment, from the mode (0) to the boldest."""
     return jnp.linspace(0.0, WIDEST, count)
 
 
@@ -152,17 +153,29 @@ def success_rates(
     segments: Segments,
     key: Array,
 ) -> tuple[float, float]:
-    """Share of segments that end well: by the policy's mode alone, and by the best of 16.
+    """Success rates of the agent: by the policy's mode alone, and by the best of 16 rollouts.
 
-    As the world says: in the paper's, within 25 cm, free there if not on the way.
+    The environment defines success. In the paper's, the tool ends within 25 cm of the goal, free
+    there if not on the way.
+
+    Args:
+        cell: robot and fixtures.
+        net, policy: the trained agent.
+        config: rules of the environment.
+        segments: problems with `[segment, joint]` ends [rad].
+        key: consumed.
+
+    Returns:
+        Two shares of the segments, from 0 to 1.
     """
+    # rollout-major: entry r * count + i is rollout r of segment i
     count = segments.start.shape[0]
     index, spread = jnp.tile(jnp.arange(count), 16), jnp.repeat(spreads(16), count)
 
     @jax.jit
     def run(policy, segments, key):
-        world = planning_world(cell, segments, config)
-        return rollouts(world, net, policy, index, spread, key)[1]
+        env = planning_env(cell, segments, config)
+        return rollouts(env, net, policy, index, spread, key)[1]
 
     reached = np.asarray(run(policy, segments, key))
     table = reached.reshape(16, count)
@@ -172,7 +185,10 @@ def success_rates(
 def _best_first(
     inside: Workcell, q: Array, reached: Array, config: JointAgentConfig
 ) -> tuple[Array, Array]:
-    """The shortest rollouts `[candidate, point, joint]`, best first by length and clearance."""
+    """The shortest of `[point, rollout, joint]` rollouts, best first by length and clearance.
+
+    Returns paths `[candidate, point, joint]`, and `[candidate]` True for those that arrived.
+    """
     length = jnp.where(reached, jnp.sum(jnp.abs(jnp.diff(q, axis=0)), axis=(0, 2)), jnp.inf)
     shortest = jnp.argsort(length)[: config.candidates]
     length = length[shortest]
@@ -184,32 +200,51 @@ def _best_first(
 
 
 def _ranked_points(path: Array) -> Array:
-    """`[RANKED, joint]` way points of a rollout, all of them if they are no more."""
+    """`[RANKED, joint]` way points spread evenly over a path `[point, joint]` until it rests."""
     moving = jnp.any(jnp.diff(path[:-1], axis=0) != 0, axis=-1)
     last = jnp.max(jnp.where(moving, jnp.arange(1, len(path) - 1), 0))
     return path[jnp.round(jnp.linspace(0.0, last, RANKED)).astype(int)]
 
 
 def _moved(q: np.ndarray) -> np.ndarray:
-    """Way points `[point, joint]` without those that repeat the one before."""
-    moved = np.abs(np.diff(q, axis=0)).max(axis=1) > 1e-6
-    return np.concatenate([q[:1], q[1:][moved]])
+    """Way points `[point, joint]` without those that repeat their predecessor."""
+    changed = np.abs(np.diff(q, axis=0)).max(axis=1) > 1e-6
+    return np.concatenate([q[:1], q[1:][changed]])
 
 
 def make_bridger(
     cell: Workcell, net: networks.ActorCritic, policy: networks.Policy, config: JointAgentConfig
 ) -> Bridger:
-    """The trained agent as a function that the planner calls: `make_bridging` of one policy."""
+    """The trained agent as a function that the planner calls: `make_bridging` of one policy.
+
+    Args:
+        cell: robot and fixtures.
+        net, policy: the trained agent.
+        config: number of rollouts, ranking and checks.
+
+    Returns:
+        A `Bridger`: from segments with `[segment, joint]` ends [rad] and a key to way points
+        `[point, joint]` [rad] of each, None where no free path was found.
+    """
     return functools.partial(make_bridging(cell, net, config), policy)
 
 
 def make_bridging(
     cell: Workcell, net: networks.ActorCritic, config: JointAgentConfig
-) -> Callable[..., np.ndarray | None]:
-    """A function of a policy and of what a `Bridger` takes; its programs serve all policies.
+) -> Callable[..., list[np.ndarray | None]]:
+    """A function of a policy and of the arguments of a `Bridger`; its programs serve all policies.
 
     The shortest rollouts are ranked by length and clearance; the first whose every edge is proven
     free is returned.
+
+    Args:
+        cell: robot and fixtures.
+        net: of the policies.
+        config: number of rollouts, ranking and checks.
+
+    Returns:
+        From (policy, segments, key) to way points `[point, joint]` [rad] of each segment, None
+        where no free path was found.
 
     Raises:
         SegmentError: the function, if an end of a segment is outside the limits or not free.
@@ -217,10 +252,10 @@ def make_bridging(
 
     @functools.partial(jax.jit, static_argnames="each")
     def run(policy, segments, key, each):
-        world, count = planning_world(cell, segments, config), segments.start.shape[0]
+        env, count = planning_env(cell, segments, config), segments.start.shape[0]
         index = jnp.repeat(jnp.arange(count), each)
-        wide, enough = jnp.tile(spreads(each), count), max(1, int(config.enough * each))
-        q, reached = rollouts(world, net, policy, index, wide, key, enough)
+        spread, enough = jnp.tile(spreads(each), count), max(1, int(config.enough * each))
+        q, reached = rollouts(env, net, policy, index, spread, key, enough)
         q = jnp.moveaxis(q.reshape(len(q), count, each, -1), 1, 0)
         rank = lambda scene, q, reached: _best_first(  # noqa: E731
             cell.replace(scene=scene), q, reached, config
@@ -228,12 +263,14 @@ def make_bridging(
         return jax.vmap(rank)(segments.scene, q, reached.reshape(count, -1))
 
     def attempt(policy, segments, key, ways, index, each):
-        """Bridge the segments `index`, as far as it goes, by so many rollouts each."""
+        """Bridge the segments `index` by `each` rollouts, where possible; fills in their `ways`."""
         ranked, arrived = jax.device_get(run(policy, take(segments, index), key, each))
         for rank in range(ranked.shape[1]):
             rows = [r for r in range(len(index)) if ways[index[r]] is None and arrived[r, rank]]
             paths = [_moved(ranked[r, rank]) for r in rows]
-            scenes = take(segments, index[rows]).scene if rows else None
+            if not rows:
+                continue
+            scenes = take(segments, index[rows]).scene
             for row, path, free in zip(
                 rows, paths, paths_are_free(cell, scenes, paths), strict=True
             ):
@@ -242,12 +279,12 @@ def make_bridging(
 
     def bridge(policy, segments, key):
         refuse_infeasible(cell, segments, 0.0)
-        ways: list[np.ndarray | None] = [None] * segments.start.shape[0]
+        solutions: list[np.ndarray | None] = [None] * segments.start.shape[0]
         for number, each in enumerate(config.rollouts):
-            missing = np.array([i for i, way in enumerate(ways) if way is None], int)
-            for part, (chunk, _) in enumerate(padded_chunks(len(missing), TOGETHER)):
+            unsolved = np.array([i for i, path in enumerate(solutions) if path is None], int)
+            for part, (chunk, _) in enumerate(padded_chunks(len(unsolved), SEGMENTS_PER_CALL)):
                 key_part = fold_in(fold_in(key, number), part)
-                attempt(policy, segments, key_part, ways, missing[chunk], each)
-        return ways
+                attempt(policy, segments, key_part, solutions, unsolved[chunk], each)
+        return solutions
 
     return bridge

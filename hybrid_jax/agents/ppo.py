@@ -2,7 +2,7 @@
 """Proximal policy optimisation, continuous and categorical, on brax's parts.
 
 Rollout and update are two compiled programs: on a CPU that is several times faster than one.
-Several seeds train side by side (a leading axis of every array), the copies of the world are
+Several seeds train side by side (a leading axis of every array), the copies of the environment are
 spread over the devices, and gradients are averaged over them.
 Reference: Schulman et al., arXiv:1707.06347.
 """
@@ -17,23 +17,24 @@ from brax.training.acme import running_statistics
 from brax.training.agents.ppo.losses import compute_gae
 from jax import Array
 
-from hybrid_jax.agents import networks, worlds
+from hybrid_jax.agents import networks
 from hybrid_jax.agents.networks import ActorCritic
+from hybrid_jax.envs import base
 from hybrid_jax.errors import InputError
-from hybrid_jax.types import pytree
+from hybrid_jax.types import Record, pytree
 
 AXIS = "copies"
-"""Name of the mesh axis over which the copies of the world are spread."""
+"""Name of the mesh axis over which the copies of the environment are spread."""
 
 
 @dataclass(frozen=True)
 class PpoConfig:
-    """Settings of one training."""
+    """Settings of a training."""
 
     steps: int = 1_000_000
-    """Environment steps in all."""
+    """Environment steps of the whole training, over all copies."""
     envs: int = 1024
-    """Copies of the world."""
+    """Copies of the environment."""
     unroll: int = 16
     """Steps of each copy between updates."""
     epochs: int = 4
@@ -44,7 +45,7 @@ class PpoConfig:
     discount: float = 0.99
     gae_lambda: float = 0.95
     clip: float = 0.2
-    """Largest change of a probability ratio."""
+    """Largest change of a probability ratio that the objective rewards."""
     entropy: float = 2e-3
     """Coefficient of the entropy bonus (`c_1`)."""
     value: float = 0.5
@@ -69,18 +70,19 @@ class PpoConfig:
 
     @property
     def iterations(self) -> int:
-        """Updates in all."""
+        """Updates of the whole training."""
         return max(1, self.steps // self.steps_per_iteration)
 
 
 @pytree
-class Learner:
-    """Everything that a training continues from, but for the copies of the world."""
+class Learner(Record):
+    """State of a training, without the copies of the environment."""
 
     params: Any
-    """`policy` and `value`."""
+    """Parameters under `policy` and `value`."""
     optimizer: Any
     normalizer: Any
+    """Running mean and deviation of observations."""
     key: Array
     iteration: Array
 
@@ -94,7 +96,7 @@ def make_optimizer(config: PpoConfig) -> optax.GradientTransformation:
 
 
 def initialize(net: ActorCritic, observations: int, config: PpoConfig, key: Array) -> Learner:
-    """Fresh networks; one seed."""
+    """Start one seed with fresh networks for observations `[observations]`."""
     key_policy, key_value, key_next = jax.random.split(key, 3)
     params = {"policy": networks.fresh_policy(net, key_policy), "value": net.value.init(key_value)}
     normalizer = networks.blank_statistics(observations)
@@ -102,38 +104,53 @@ def initialize(net: ActorCritic, observations: int, config: PpoConfig, key: Arra
     return Learner(params, optimizer, normalizer, key_next, jnp.zeros((), jnp.int32))
 
 
-def collect(world, net: ActorCritic, config: PpoConfig, learner: Learner, copies, key):
-    """A rollout with the present policy, and the value of where it ends."""
+def collect(env, net: ActorCritic, config: PpoConfig, learner: Learner, copies, key):
+    """A rollout with the present policy.
+
+    Args:
+        env: environment.
+        net: networks.
+        config: settings.
+        learner: one seed.
+        copies: running copies.
+        key: consumed.
+
+    Returns:
+        The copies, and `[step, copy, ...]` arrays as of `envs.base.rollout`, with `action` before
+        it is squashed and its `log_prob`; further `last_obs` `[copy, obs]`, and `cut` and
+        `cut_gained` `[copy]` of `envs.base.cut_truncated`.
+    """
     policy = networks.Policy(learner.params["policy"], learner.normalizer)
 
     def choose(obs, key):
         logits = net.policy.apply(policy.normalizer, policy.params, obs)
         raw = net.actions.sample_no_postprocessing(logits, key)
-        kept = {"action": raw, "log_prob": net.actions.log_prob(logits, raw)}
-        return net.actions.postprocess(raw), kept
+        extras = {"action": raw, "log_prob": net.actions.log_prob(logits, raw)}
+        return net.actions.postprocess(raw), extras
 
     key_steps, key_cut = jax.random.split(key)
-    copies, data = worlds.rollout(world, choose, copies, key_steps, config.unroll)
+    copies, data = base.rollout(env, choose, copies, key_steps, config.unroll)
+    # before truncated episodes begin anew: their last value continues from this observation
     data["last_obs"] = copies.obs
-    copies, cut = worlds.cut_overdue(world, copies, key_cut)
+    copies, cut = base.cut_truncated(env, copies, key_cut)
     return copies, data | cut
 
 
 def _mean_of(kept: Array | None):
-    """Mean over the samples that count."""
+    """A function that averages `[sample]` values over those with `kept` above 0; all if None."""
     if kept is None:
         return jnp.mean
     return lambda values: jnp.sum(kept * values) / jnp.maximum(jnp.sum(kept), 1.0)
 
 
 def _loss(params, net: ActorCritic, normalizer, batch, config: PpoConfig, key):
-    """Clipped surrogate, value and entropy terms; returns each beside the sum."""
+    """Sum of the clipped surrogate, value and entropy terms, and each of them by name."""
     logits = net.policy.apply(normalizer, params["policy"], batch["obs"])
     values = net.value.apply(normalizer, params["value"], batch["obs"])
-    change = net.actions.log_prob(logits, batch["action"]) - batch["log_prob"]
+    log_ratio = net.actions.log_prob(logits, batch["action"]) - batch["log_prob"]
     if batch["kept"] is not None:  # nothing holds the others back: their ratios may overflow
-        change = jnp.where(batch["kept"] > 0, change, 0.0)
-    ratio = jnp.exp(change)
+        log_ratio = jnp.where(batch["kept"] > 0, log_ratio, 0.0)
+    ratio = jnp.exp(log_ratio)
     mean = _mean_of(batch["kept"])
     advantage = batch["advantage"] - mean(batch["advantage"])
     advantage = advantage / (jnp.sqrt(mean(advantage**2)) + 1e-8)
@@ -149,21 +166,49 @@ def _loss(params, net: ActorCritic, normalizer, batch, config: PpoConfig, key):
 
 
 def judge(net: ActorCritic, config: PpoConfig, learner: Learner, data) -> dict[str, Array]:
-    """Samples `[time * copy, ...]` with targets and advantages."""
+    """Samples of a rollout with value targets and advantages (GAE).
+
+    Args:
+        net: networks.
+        config: settings.
+        learner: one seed.
+        data: `[step, copy, ...]` from `collect`.
+
+    Returns:
+        `obs`, `action`, `log_prob`, `kept`, `advantage` and `target`, `[step * copy, ...]` each.
+    """
     apply = net.value.apply
     values = apply(learner.normalizer, learner.params["value"], data["obs"])
-    last = apply(learner.normalizer, learner.params["value"], data["last_obs"])
+    last_values = apply(learner.normalizer, learner.params["value"], data["last_obs"])
+    # first argument: truncation within the rollout; episodes are cut at its end only
     target, advantage = compute_gae(
-        jnp.zeros_like(values), data["terminated"], data["reward"], values, last,
-        config.gae_lambda, config.discount,
-    )  # fmt: skip
+        jnp.zeros_like(values),
+        data["terminated"],
+        data["reward"],
+        values,
+        last_values,
+        config.gae_lambda,
+        config.discount,
+    )
     samples = {k: data[k] for k in ("obs", "action", "log_prob", "kept")}
     samples |= {"advantage": advantage, "target": target}
     return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), samples)
 
 
 def improve(net: ActorCritic, config: PpoConfig, learner: Learner, samples, key: Array, parts: int):
-    """Passes of minibatch gradient steps; each device has its share of every minibatch."""
+    """Passes of minibatch gradient steps; each device has its share of every minibatch.
+
+    Args:
+        net: networks.
+        config: settings.
+        learner: one seed.
+        samples: `[sample, ...]` of this device.
+        key: consumed.
+        parts: number of devices.
+
+    Returns:
+        (parameters, optimizer state), and loss terms `[epoch, minibatch]`.
+    """
     optimizer = make_optimizer(config)
     count = samples["target"].shape[0]
 
@@ -191,16 +236,31 @@ def improve(net: ActorCritic, config: PpoConfig, learner: Learner, samples, key:
 
 
 def report(data, terms) -> dict[str, Array]:
-    """Means over all copies: of reward, loss terms, facts, and of the episodes that ended."""
-    means = jax.tree.map(jnp.mean, {"reward": data["reward"], **data["facts"], **terms})
-    sums = jax.lax.psum(worlds.episode_sums(data), AXIS)
-    return jax.lax.pmean(means, AXIS) | worlds.episode_means(sums)
+    """Scalar metrics: means of reward, `info` and loss terms, and of the episodes that ended.
+
+    Args:
+        data: `[step, copy, ...]` of this device.
+        terms: loss terms of any shape.
+    """
+    means = jax.tree.map(jnp.mean, {"reward": data["reward"], **data["info"], **terms})
+    sums = jax.lax.psum(base.episode_sums(data), AXIS)
+    return jax.lax.pmean(means, AXIS) | base.episode_means(sums)
 
 
 def update(net: ActorCritic, config: PpoConfig, learner: Learner, data, key: Array, parts: int):
-    """The learner after one rollout, and metrics."""
+    """The learner after one rollout, and scalar metrics.
+
+    Args:
+        net: networks.
+        config: settings.
+        learner: one seed.
+        data: `[step, copy, ...]` from `collect`, of this device.
+        key: consumed.
+        parts: number of devices.
+    """
     samples = judge(net, config, learner, data)
     (params, opt), terms = improve(net, config, learner, samples, key, parts)
+    # for the next rollout: the stored `log_prob` belong to the present statistics
     normalizer = running_statistics.update(learner.normalizer, data["obs"], pmap_axis_name=AXIS)
-    changed = learner.replace(params=params, optimizer=opt, normalizer=normalizer)
-    return changed.replace(iteration=learner.iteration + 1), report(data, terms)
+    updated = learner.replace(params=params, optimizer=opt, normalizer=normalizer)
+    return updated.replace(iteration=learner.iteration + 1), report(data, terms)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Soft actor-critic on brax's networks and losses: the off-policy rival of the joint agent.
+"""Soft actor-critic on brax's networks and losses: the off-policy alternative to PPO.
 
 Several seeds train side by side (a leading axis of every array), spread over the devices.
 Reference: Haarnoja et al., arXiv:1812.05905.
@@ -18,22 +18,23 @@ from brax.training.agents.sac import networks as sac_networks
 from brax.training.types import Transition
 from jax import Array
 
-from hybrid_jax.agents import networks, worlds
+from hybrid_jax.agents import networks
 from hybrid_jax.agents.networks import ActorCritic
+from hybrid_jax.envs import base
 from hybrid_jax.errors import InputError
-from hybrid_jax.types import pytree
+from hybrid_jax.types import Record, pytree
 
 
 @dataclass(frozen=True)
 class SacConfig:
-    """Settings of one training."""
+    """Settings of a training."""
 
     steps: int = 1_000_000
-    """Environment steps in all."""
+    """Environment steps of the whole training, over all copies."""
     envs: int = 64
-    """Copies of the world."""
+    """Copies of the environment."""
     unroll: int = 16
-    """Steps of each copy between updates."""
+    """Steps of each copy in a rollout."""
     updates: int = 40
     """Gradient steps of every network after each rollout."""
     batch: int = 256
@@ -61,26 +62,28 @@ class SacConfig:
 
     @property
     def steps_per_iteration(self) -> int:
-        """Environment steps between updates."""
+        """Environment steps of a rollout."""
         return self.envs * self.unroll
 
     @property
     def iterations(self) -> int:
-        """Rollouts in all."""
+        """Rollouts of the whole training."""
         return max(1, self.steps // self.steps_per_iteration)
 
 
 class Ring(replay_buffers.UniformSamplingQueue):
-    """brax's queue, which counts on where it would roll its rows: under `vmap` that moves them all.
+    """brax's queue as a ring buffer.
 
-    Positions are those of all transitions ever seen; sampling takes them modulo the size.
+    brax rolls the rows of a full queue, which under `vmap` moves all of them at every insert.
+    Here positions count all transitions ever inserted; sampling takes them modulo the size.
     """
 
     def insert_internal(self, buffer_state, samples):
+        """Insert `[transition, ...]` samples; they replace the oldest ones in a full buffer."""
         update, size = self._flatten_fn(samples), self._data_shape[0]
         end = buffer_state.insert_position + len(update)
         rows = (buffer_state.insert_position + jnp.arange(len(update))) % size
-        return buffer_state.replace(
+        return buffer_state.replace(  # pyright: ignore[reportAttributeAccessIssue]: flax adds it
             data=buffer_state.data.at[rows].set(update, unique_indices=True),
             insert_position=end,
             sample_position=jnp.maximum(0, end - size),
@@ -88,47 +91,61 @@ class Ring(replay_buffers.UniformSamplingQueue):
 
 
 @pytree
-class SacLearner:
-    """Everything that a training continues from, but for the copies of the world."""
+class SacLearner(Record):
+    """State of a training, without the copies of the environment."""
 
     params: Any
-    """`policy`, `critic` and `alpha`: logarithm of the entropy's weight."""
+    """Parameters under `policy`, `critic` and `alpha` (logarithm of the entropy's weight)."""
     target: Any
-    """Slow critics."""
+    """Parameters of the target critics."""
     optimizer: Any
     """One state for each entry of `params`."""
     normalizer: Any
+    """Running mean and deviation of observations."""
     replay: Any
     key: Array
     iteration: Array
 
 
 def make_networks(observations: int, actions: int, hidden: tuple[int, ...]) -> ActorCritic:
-    """Actor and two critics (of observation and action) on normalised observations."""
-    made = sac_networks.make_sac_networks(
-        observations, actions, running_statistics.normalize, hidden, jax.nn.relu
+    """Actor and two critics (of observation and action) on normalised observations.
+
+    Args:
+        observations: length of an observation.
+        actions: length of an action.
+        hidden: widths of the hidden layers, actor and critics alike.
+    """
+    parts = sac_networks.make_sac_networks(
+        observations,
+        actions,
+        running_statistics.normalize,  # pyright: ignore[reportArgumentType]: brax's own default
+        hidden,
+        jax.nn.relu,
     )
-    return ActorCritic(
-        made.policy_network, made.q_network, made.parametric_action_distribution
-    )
+    return ActorCritic(parts.policy_network, parts.q_network, parts.parametric_action_distribution)
 
 
 def _losses(net: ActorCritic, config: SacConfig, actions: int):
-    parts = sac_networks.SACNetworks(net.policy, net.value, net.actions)
-    return losses.make_losses(parts, 1.0, config.discount, actions)
+    nets: Any = sac_networks.SACNetworks  # a flax dataclass: its constructor comes without types
+    nets = nets(net.policy, net.value, net.actions)
+    return losses.make_losses(nets, 1.0, config.discount, actions)
 
 
-def _queue(world: worlds.World, config: SacConfig) -> Ring:
-    number, obs = jnp.zeros(()), jnp.zeros(world.observation_size)
+def _queue(env: base.Env, config: SacConfig) -> Ring:
+    number, obs = jnp.zeros(()), jnp.zeros(env.observation_size)
     sample = Transition(
-        obs, jnp.zeros(world.action_size), number, number, obs,
-        {"state_extras": {"truncation": number}},
-    )  # fmt: skip
+        obs,
+        jnp.zeros(env.action_size),
+        number,
+        number,
+        obs,
+        {"state_extras": {"truncation": number}},  # pyright: ignore[reportArgumentType]: a tree
+    )
     return Ring(config.replay, sample, config.batch)
 
 
-def initialize(world: worlds.World, net: ActorCritic, config: SacConfig, key: Array) -> SacLearner:
-    """Fresh networks and an empty replay; one seed."""
+def initialize(env: base.Env, net: ActorCritic, config: SacConfig, key: Array) -> SacLearner:
+    """Start one seed with fresh networks and an empty replay."""
     key_policy, key_critic, key = jax.random.split(key, 3)
     params = {
         "policy": networks.fresh_policy(net, key_policy),
@@ -140,15 +157,28 @@ def initialize(world: worlds.World, net: ActorCritic, config: SacConfig, key: Ar
         params=params,
         target=params["critic"],
         optimizer={name: adam.init(part) for name, part in params.items()},
-        normalizer=networks.blank_statistics(world.observation_size),
-        replay=_queue(world, config).init(key),
+        normalizer=networks.blank_statistics(env.observation_size),
+        replay=_queue(env, config).init(key),
         key=key,
         iteration=jnp.zeros((), jnp.int32),
     )
 
 
-def collect(world, net: ActorCritic, config: SacConfig, learner: SacLearner, copies, key):
-    """A rollout with the present policy."""
+def collect(env, net: ActorCritic, config: SacConfig, learner: SacLearner, copies, key):
+    """A rollout with the present policy.
+
+    Args:
+        env: environment.
+        net: networks.
+        config: settings.
+        learner: one seed.
+        copies: running copies.
+        key: consumed.
+
+    Returns:
+        The copies, and `[step, copy, ...]` arrays as of `envs.base.rollout`, with `action`; further
+        `last_obs` `[copy, obs]`, and `cut` and `cut_gained` `[copy]` of `envs.base.cut_truncated`.
+    """
     policy = networks.Policy(learner.params["policy"], learner.normalizer)
 
     def choose(obs, key):
@@ -156,31 +186,52 @@ def collect(world, net: ActorCritic, config: SacConfig, learner: SacLearner, cop
         return action, {"action": action}
 
     key_steps, key_cut = jax.random.split(key)
-    copies, data = worlds.rollout(world, choose, copies, key_steps, config.unroll)
+    copies, data = base.rollout(env, choose, copies, key_steps, config.unroll)
     data["last_obs"] = copies.obs
-    copies, cut = worlds.cut_overdue(world, copies, key_cut)
+    copies, cut = base.cut_truncated(env, copies, key_cut)
     return copies, data | cut
 
 
 def transitions(data) -> Transition:
-    """`[time * copy, ...]` of a rollout; nothing is read of what follows an end.
+    """Transitions of a rollout.
 
-    brax's critics skip what is marked as truncated: here what is not to be learnt from.
+    The observation after a terminated step is of the next episode; its discount of 0 hides it.
+    brax's critics skip transitions marked as truncated: here those whose `kept` is 0.
+
+    Args:
+        data: `[step, copy, ...]` from `collect`.
+
+    Returns:
+        `[step * copy, ...]` transitions.
     """
     skipped = jnp.zeros_like(data["reward"]) if data["kept"] is None else 1 - data["kept"]
-    after = jnp.concatenate([data["obs"][1:], data["last_obs"][None]])
+    next_obs = jnp.concatenate([data["obs"][1:], data["last_obs"][None]])
     rows = Transition(
-        data["obs"], data["action"], data["reward"], 1 - data["terminated"], after,
-        {"state_extras": {"truncation": skipped}},
-    )  # fmt: skip
+        data["obs"],
+        data["action"],
+        data["reward"],
+        1 - data["terminated"],
+        next_obs,
+        {"state_extras": {"truncation": skipped}},  # pyright: ignore[reportArgumentType]: a tree
+    )
     return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), rows)
 
 
-def improve(world: worlds.World, net: ActorCritic, config: SacConfig, learner: SacLearner):
-    """Gradient steps on what is remembered: the learner's changed fields, and the mean losses."""
-    alpha_loss, critic_loss, actor_loss = _losses(net, config, world.action_size)
+def improve(env: base.Env, net: ActorCritic, config: SacConfig, learner: SacLearner):
+    """Gradient steps of all networks on samples from the replay.
+
+    Args:
+        env: environment.
+        net: networks.
+        config: settings.
+        learner: one seed.
+
+    Returns:
+        The learner's changed fields by name, and scalar mean losses.
+    """
+    alpha_loss, critic_loss, actor_loss = _losses(net, config, env.action_size)
     adam, normal = optax.adam(config.learning_rate), learner.normalizer
-    queue, replay = _queue(world, config), learner.replay
+    queue, replay = _queue(env, config), learner.replay
 
     def step(carry, key):
         params, target, optimizer = carry
@@ -188,7 +239,7 @@ def improve(world: worlds.World, net: ActorCritic, config: SacConfig, learner: S
         _, batch = queue.sample_internal(replay.replace(key=key_draw))
         alpha = jnp.exp(params["alpha"])
         keys = jax.random.split(key, 3)
-        found = {
+        values_and_grads = {
             "alpha": jax.value_and_grad(alpha_loss)(
                 params["alpha"], params["policy"], normal, batch, keys[0]
             ),
@@ -199,31 +250,45 @@ def improve(world: worlds.World, net: ActorCritic, config: SacConfig, learner: S
                 params["policy"], normal, params["critic"], alpha, batch, keys[2]
             ),
         }
-        changed, states = {}, {}
-        for name, (_, gradient) in found.items():
-            change, states[name] = adam.update(gradient, optimizer[name])
-            changed[name] = optax.apply_updates(params[name], change)
-        target = optax.incremental_update(changed["critic"], target, config.polyak)
-        return (changed, target, states), {f"{n}_loss": v[0] for n, v in found.items()}
+        new_params, states = {}, {}
+        for name, (_, grads) in values_and_grads.items():
+            update, states[name] = adam.update(grads, optimizer[name])
+            new_params[name] = optax.apply_updates(params[name], update)
+        target = optax.incremental_update(new_params["critic"], target, config.polyak)
+        return (new_params, target, states), {
+            f"{n}_loss": v[0] for n, v in values_and_grads.items()
+        }
 
-    key, following = jax.random.split(learner.key)
+    key, next_key = jax.random.split(learner.key)
     start = (learner.params, learner.target, learner.optimizer)
-    end, terms = jax.lax.scan(step, start, jax.random.split(key, config.updates))
-    params, target, optimizer = end
-    changed = dict(params=params, target=target, optimizer=optimizer, key=following)
+    final, terms = jax.lax.scan(step, start, jax.random.split(key, config.updates))
+    params, target, optimizer = final
+    changed = dict(params=params, target=target, optimizer=optimizer, key=next_key)
     return changed, jax.tree.map(jnp.mean, terms)
 
 
-def remember(world: worlds.World, config: SacConfig, learner: SacLearner, data) -> SacLearner:
-    """The learner with a rollout in its replay; all that happens during the warm-up."""
+def remember(env: base.Env, config: SacConfig, learner: SacLearner, data) -> SacLearner:
+    """The learner with a rollout in its replay; nothing else happens during the warm-up.
+
+    Args:
+        env: environment.
+        config: settings.
+        learner: one seed.
+        data: `[step, copy, ...]` from `collect`.
+    """
     return learner.replace(
-        replay=_queue(world, config).insert_internal(learner.replay, transitions(data)),
+        replay=_queue(env, config).insert_internal(learner.replay, transitions(data)),
         normalizer=running_statistics.update(learner.normalizer, data["obs"]),
         iteration=learner.iteration + 1,
     )
 
 
 def report(data, terms) -> dict[str, Array]:
-    """Means over all copies: of reward, loss terms, facts, and of the episodes that ended."""
-    means = jax.tree.map(jnp.mean, {"reward": data["reward"], **data["facts"], **terms})
-    return means | worlds.episode_means(worlds.episode_sums(data))
+    """Scalar metrics: means of reward, `info` and loss terms, and of the episodes that ended.
+
+    Args:
+        data: `[step, copy, ...]` from `collect`.
+        terms: loss terms of any shape.
+    """
+    means = jax.tree.map(jnp.mean, {"reward": data["reward"], **data["info"], **terms})
+    return means | base.episode_means(base.episode_sums(data))

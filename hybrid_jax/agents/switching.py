@@ -3,8 +3,8 @@
 
 Both joint motions of a phase run on one grid of `STEPS` points; at every point the agent chooses
 one. The paper's reward, manipulability minus collision, has no term that joins neighbouring
-points; ours adds the jump and the switch. With two choices a step the optimum is a Viterbi path:
-`optimal_switching` is the oracle.
+points; here costs of a jump and of a switch are added. With two choices a step the optimum is a
+Viterbi path: `optimal_switching` is the oracle.
 """
 
 import functools
@@ -18,23 +18,22 @@ from jax import Array
 from jaxtyping import Float, PRNGKeyArray
 
 from hybrid_jax.agents import networks, ppo
-from hybrid_jax.agents.worlds import Move
-from hybrid_jax.types import pytree
+from hybrid_jax.contracts import STEPS, Combined
+from hybrid_jax.envs.base import StepResult
+from hybrid_jax.types import Record, pytree
 
-STEPS = 200
-"""Points of the grid (paper, table of the switching agent: steps)."""
 AHEAD = 5
-"""Next points of both motions that the agent sees."""
+"""Number of next points of both motions that the agent sees."""
 
 
 @dataclass(frozen=True)
 class SwitchConfig:
-    """Reward and training."""
+    """Reward and training of the switching agent."""
 
     collision: float = 5.0
     """Cost of an infeasible point."""
     jump: float = 5.0
-    """Cost of a joint step, in units of `allowed`, beyond the first."""
+    """Cost of each further `allowed` by which a joint step exceeds `allowed`."""
     switch: float = 0.5
     """Cost of changing the source."""
     allowed: float = 0.15
@@ -54,25 +53,13 @@ class SwitchConfig:
 
 
 @pytree
-class Combined:
-    """Both motions of one phase on the grid."""
-
-    q: Array
-    """`[2, STEPS, joint]`: skill, joint agent (repeated where it has no motion)."""
-    manipulability: Array
-    """`[2, STEPS]` man'."""
-    collision: Array
-    """`[2, STEPS]` 1 where infeasible."""
-    available: Array
-    """`[STEPS]` 1 where the joint agent has a motion."""
-
-
-@pytree
-class SwitchState:
-    """Where one episode stands."""
+class SwitchState(Record):
+    """State of one episode."""
 
     problem: Array
+    """Index of the combined trajectory."""
     step: Array
+    """Index of the next grid point."""
     q: Array
     """`[joint]` last chosen configuration."""
     choice: Array
@@ -80,26 +67,28 @@ class SwitchState:
 
 
 def point_reward(data: Combined, config: SwitchConfig) -> Float[Array, "2 STEPS"]:
-    """Part of the reward that depends on one point only."""
+    """Part of the reward that depends on one point only, `[2, STEPS]` for skill and joint agent."""
     reward = data.manipulability - config.collision * data.collision
     return reward.at[1].add(-2 * config.collision * (1 - data.available))
 
 
 def step_reward(before: Array, after: Array, config: SwitchConfig) -> Array:
-    """Cost of the joint step between two configurations, as a negative reward."""
+    """Reward of the joint step between configurations `[..., joint]` [rad]: at most 0, `[...]`."""
     size = jnp.max(jnp.abs(after - before), axis=-1)
     return -config.jump * jnp.maximum(0.0, size - config.allowed) / config.allowed
 
 
-class SwitchWorld:
-    """A `World` (see `agents.worlds`) of combined trajectories."""
+class SwitchEnv:
+    """An `Env` (see `envs.base`) of combined trajectories."""
 
     action_size = 2
 
     def __init__(self, problems: Combined, config: SwitchConfig = SwitchConfig()):
-        """Args:
-        problems: stacked along a leading axis.
-        config: reward.
+        """Make an environment of some problems.
+
+        Args:
+            problems: stacked along a leading axis: `q` is `[problem, 2, STEPS, joint]` [rad].
+            config: reward.
         """
         self.problems, self.config = problems, config
         self.observation_size = self.observation_length(problems.q.shape[-1])
@@ -112,15 +101,18 @@ class SwitchWorld:
     def _problem(self, index: Array) -> Combined:
         return jax.tree.map(lambda a: a[index], self.problems)
 
-    def observe(self, state: SwitchState) -> Float[Array, "obs"]:
-        """Both motions from here on relative to the robot, their worth, and the last choice."""
+    def observe(self, state: SwitchState) -> Float[Array, " obs"]:
+        """Observation `[obs]`: the next points of both motions, their quality, the last choice.
+
+        The points are relative to the present configuration.
+        """
         data = self._problem(state.problem)
         t = jnp.minimum(state.step, STEPS - 1)
-        seen = jnp.minimum(t + jnp.arange(AHEAD + 1), STEPS - 1)
+        window = jnp.minimum(t + jnp.arange(AHEAD + 1), STEPS - 1)
         return jnp.concatenate(
             [
                 state.q,
-                (data.q[:, seen] - state.q).reshape(-1),
+                (data.q[:, window] - state.q).reshape(-1),
                 data.manipulability[:, t],
                 data.collision[:, t],
                 data.available[t][None],
@@ -129,18 +121,20 @@ class SwitchWorld:
         )
 
     def start(self, index: Array) -> SwitchState:
-        """A given problem; the robot stands at the beginning of the skill's motion."""
+        """State at the start of problem `index` `[]`: the arm stands where the skill begins."""
         zero = jnp.zeros((), jnp.int32)
         return SwitchState(index, zero, self.problems.q[index, 0, 0], zero)
 
-    def begin(self, key: PRNGKeyArray) -> SwitchState:
+    def reset(self, key: PRNGKeyArray) -> SwitchState:
+        """State at the start of a random problem."""
         return self.start(jax.random.randint(key, (), 0, self.problems.available.shape[0]))
 
-    def overdue(self, state: SwitchState) -> Array:
-        """Never: an episode ends with the trajectory."""
+    def truncated(self, state: SwitchState) -> Array:
+        """Always False `[]`: an episode ends with the trajectory."""
         return jnp.zeros_like(state.step, bool)
 
-    def step(self, state: SwitchState, action: Array) -> Move:
+    def step(self, state: SwitchState, action: Array) -> StepResult:
+        """Go to the next grid point by `action` `[]`: 0 skill, 1 joint agent."""
         data = self._problem(state.problem)
         # the joint agent can only be chosen where it has a motion
         choice = jnp.where(data.available[state.step] > 0, action, 0).astype(jnp.int32)
@@ -151,27 +145,46 @@ class SwitchWorld:
             - self.config.switch * (choice != state.choice)
         )
         collides = data.collision[choice, state.step]
-        after = SwitchState(state.problem, state.step + 1, q, choice)
-        done = after.step >= STEPS
-        return Move(after, self.config.scale * reward, done, done & (collides == 0),
-                    {"infeasible": collides})  # fmt: skip
+        next_state = SwitchState(state.problem, state.step + 1, q, choice)
+        done = next_state.step >= STEPS
+        return StepResult(
+            next_state,
+            self.config.scale * reward,
+            done,
+            done & (collides == 0),
+            {"infeasible": collides},
+        )
 
 
 def episode_return(
-    data: Combined, choice: Float[Array, "STEPS"], config: SwitchConfig
+    data: Combined, choice: Float[Array, " STEPS"], config: SwitchConfig
 ) -> Float[Array, ""]:
-    """Total reward of some choices `[STEPS]`; where the joint agent has no motion, of the skill."""
+    """Total reward of some choices on one problem.
+
+    Args:
+        data: `[2, STEPS, joint]` configurations, `[2, STEPS]` manipulability and collision.
+        choice: `[STEPS]` 0 skill, 1 joint agent; read as 0 where the joint agent has no motion.
+        config: reward.
+
+    Returns:
+        `[]` total reward, not scaled.
+    """
     choice = jnp.where(data.available > 0, choice, 0).astype(jnp.int32)
     at = jnp.arange(STEPS)
     q = data.q[choice, at]
-    before = jnp.concatenate([data.q[0, :1], q[:-1]])
+    previous_q = jnp.concatenate([data.q[0, :1], q[:-1]])
     changes = choice != jnp.concatenate([jnp.zeros(1, jnp.int32), choice[:-1]])
     points = point_reward(data, config)[choice, at]
-    return jnp.sum(points + step_reward(before, q, config) - config.switch * changes)
+    return jnp.sum(points + step_reward(previous_q, q, config) - config.switch * changes)
 
 
 def optimal_switching(data: Combined, config: SwitchConfig) -> tuple[np.ndarray, float]:
-    """Best choices `[STEPS]` and their total reward, by dynamic programming (Viterbi)."""
+    """Best choices `[STEPS]` and their total reward, by dynamic programming (Viterbi).
+
+    Args:
+        data: one problem: `[2, STEPS, joint]` configurations, `[2, STEPS]` rewards of points.
+        config: reward.
+    """
     choice, value = _viterbi(data, config)
     return np.asarray(choice), float(value)
 
@@ -181,6 +194,7 @@ def _viterbi(data: Combined, config: SwitchConfig) -> tuple[Array, Array]:
     q = data.q
     points = point_reward(data, config)
     points = points.at[1].set(jnp.where(data.available > 0, points[1], -jnp.inf))
+    # [from, to, step]: reward of going from one choice to the next
     moves = step_reward(q[:, None, :-1], q[None, :, 1:], config)
     moves -= config.switch * (1 - jnp.eye(2))[:, :, None]
     entering = step_reward(q[0, 0], q[1, 0], config) - config.switch
@@ -190,29 +204,39 @@ def _viterbi(data: Combined, config: SwitchConfig) -> tuple[Array, Array]:
         totals = value[:, None] + move
         return jnp.max(totals, axis=0) + point, jnp.argmax(totals, axis=0)
 
-    first = points[:, 0].at[1].add(entering)
-    value, back = jax.lax.scan(advance, first, (points[:, 1:].T, jnp.moveaxis(moves, 2, 0)))
+    initial = points[:, 0].at[1].add(entering)
+    value, backpointers = jax.lax.scan(
+        advance, initial, (points[:, 1:].T, jnp.moveaxis(moves, 2, 0))
+    )
     last = jnp.argmax(value)
-    choice = jax.lax.scan(lambda at, row: (row[at], row[at]), last, back, reverse=True)[1]
+    choice = jax.lax.scan(lambda at, row: (row[at], row[at]), last, backpointers, reverse=True)[1]
     return jnp.append(choice, last), jnp.max(value)
 
 
 def make_net(joints: int, config: SwitchConfig) -> networks.ActorCritic:
-    """Networks of the agent for an arm."""
+    """Networks of the agent for an arm with `joints` joints."""
     return networks.make_networks(
-        SwitchWorld.observation_length(joints), 2, config.training.hidden, discrete=True
+        SwitchEnv.observation_length(joints), 2, config.training.hidden, discrete=True
     )
 
 
 def make_switcher(
     net: networks.ActorCritic, policy: networks.Policy, config: SwitchConfig
 ) -> Callable[[Combined], np.ndarray]:
-    """The trained agent as a function of one problem to its choices `[STEPS]`."""
+    """The trained agent as a function that the planner calls.
+
+    Args:
+        net, policy: the trained agent.
+        config: reward.
+
+    Returns:
+        A `Switcher`: from one problem to its choices `[STEPS]`, 0 skill, 1 joint agent.
+    """
     run = jax.jit(functools.partial(choose, net, config=config))
 
     def switch(combined: Combined) -> np.ndarray:
-        one = jax.tree.map(lambda a: a[None], combined)
-        return np.asarray(run(policy, one)[0][0])
+        batch = jax.tree.map(lambda a: a[None], combined)
+        return np.asarray(run(policy, batch)[0][0])
 
     return switch
 
@@ -220,15 +244,24 @@ def make_switcher(
 def choose(
     net: networks.ActorCritic, policy: networks.Policy, problems: Combined, config: SwitchConfig
 ) -> tuple[Array, Array]:
-    """Choices `[problem, STEPS]` of the trained agent and their total rewards `[problem]`."""
-    world = SwitchWorld(problems, config)
+    """Most likely choices of the trained agent.
+
+    Args:
+        net, policy: the trained agent.
+        problems: stacked along a leading axis: `q` is `[problem, 2, STEPS, joint]` [rad].
+        config: reward.
+
+    Returns:
+        Choices `[problem, STEPS]`, 0 skill, 1 joint agent, and total rewards `[problem]`.
+    """
+    env = SwitchEnv(problems, config)
 
     def run(index):
         def step(state, _):
-            move = world.step(state, networks.act(net, policy, world.observe(state), None))
-            return move.state, (move.state.choice, move.reward)
+            result = env.step(state, networks.act(net, policy, env.observe(state), None))
+            return result.state, (result.state.choice, result.reward)
 
-        _, (choice, reward) = jax.lax.scan(step, world.start(index), length=STEPS)
+        _, (choice, reward) = jax.lax.scan(step, env.start(index), length=STEPS)
         return choice, jnp.sum(reward) / config.scale
 
     return jax.vmap(run)(jnp.arange(problems.available.shape[0]))

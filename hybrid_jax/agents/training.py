@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The host's side of a training: loop, report, stop where something breaks."""
+"""The host's side of a training: loop, reports, and an error where a number is not finite."""
 
 import time
 from collections.abc import Callable
@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hybrid_jax.agents import worlds
 from hybrid_jax.agents.networks import ActorCritic
-from hybrid_jax.agents.programs import Config, Training, make_programs
+from hybrid_jax.agents.trainers import Config, Training, make_programs
+from hybrid_jax.envs import base
 from hybrid_jax.errors import TrainingError
 
 Report = Callable[[int, Training, dict[str, np.ndarray]], None]
@@ -27,19 +27,24 @@ def _finite(tree: Any) -> jax.Array:
 def refuse_broken(steps: int, metrics: dict[str, np.ndarray], params: Any) -> None:
     """Raise if a reported number or a parameter is not finite.
 
+    Args:
+        steps: environment steps done.
+        metrics: arrays of any shape by name.
+        params: pytree of arrays.
+
     Raises:
         TrainingError: names the step and what broke.
     """
-    broken = [k for k, v in metrics.items() if not np.isfinite(v).all()]
+    non_finite = [k for k, v in metrics.items() if not np.isfinite(v).all()]
     if not jax.device_get(_finite(params)):
         # the last gradient step of an update shows in its parameters only
-        broken.append("parameters")
-    if broken:
-        raise TrainingError(f"training broke at step {steps}: {', '.join(broken)} not finite")
+        non_finite.append("parameters")
+    if non_finite:
+        raise TrainingError(f"training broke at step {steps}: {', '.join(non_finite)} not finite")
 
 
 def train(
-    world: worlds.World,
+    env: base.Env,
     net: ActorCritic,
     config: Config,
     *,
@@ -51,26 +56,30 @@ def train(
     """Train until `config.steps`.
 
     Args:
-        world: what to learn in.
+        env: environment to learn in.
         net: from `networks.make_networks` or `sac.make_networks`.
-        config: settings; their type says whether PPO or SAC trains.
+        config: settings; their type selects PPO or SAC.
         seeds: one training each, side by side; `config.seed` alone if None.
         state: where an earlier training stopped; fresh if None.
         report: called after each update (metrics contain `rate`, steps/s of each seed).
-        devices: to use; as many as it pays to if None.
+        devices: to use; see `trainers.pick_devices` if None.
+
+    Returns:
+        The state at the end; the leading axis of its arrays runs over seeds.
 
     Raises:
         TrainingError: a number is not finite; the message names it and the step.
     """
-    programs = make_programs(world, net, config, devices)
+    programs = make_programs(env, net, config, devices)
     state = programs.start(seeds or (config.seed,)) if state is None else programs.place(state)
     for iteration in range(int(state.learner.iteration[0]), config.iterations):
-        began = time.perf_counter()
+        start_time = time.perf_counter()
         state, metrics = programs.advance(state)
+        # also waits for the device, so that the rate below is not that of the dispatch alone
         values = jax.device_get(metrics)
         steps = (iteration + 1) * config.steps_per_iteration
         refuse_broken(steps, values, state.learner.params)
         if report:
-            rate = config.steps_per_iteration / (time.perf_counter() - began)
+            rate = config.steps_per_iteration / (time.perf_counter() - start_time)
             report(steps, state, values | {"rate": np.full_like(values["reward"], rate)})
     return state

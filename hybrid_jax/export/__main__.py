@@ -3,8 +3,8 @@
 
 from pathlib import Path
 
-from hybrid_jax.progress import working
-from hybrid_jax.terminal import answer, run_main
+from hybrid_jax.runtime.progress import working
+from hybrid_jax.runtime.terminal import answer, run_main
 
 
 def main(run: Path, out: Path, quiet: bool = False, json: bool = False) -> int:
@@ -16,8 +16,8 @@ def main(run: Path, out: Path, quiet: bool = False, json: bool = False) -> int:
         quiet: print the answer only.
         json: print the answer as JSON.
     """
-    from hybrid_jax.export.policies import export_policy  # noqa: PLC0415
-    from hybrid_jax.runfolder import open_run  # noqa: PLC0415
+    from hybrid_jax.export.policies import export_policy
+    from hybrid_jax.runs.run_folder import open_run
 
     with working("export", "lowering the policy", quiet):
         export_policy(open_run(run), out)

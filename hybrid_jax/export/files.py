@@ -1,22 +1,22 @@
 # SPDX-License-Identifier: MIT
-"""One plan to a file; the file's ending says which kind."""
+"""Write one plan to a file; the file's ending selects the format."""
 
 from pathlib import Path
 
-from hybrid_jax.artifacts import write_text
+from hybrid_jax.contracts import PlanResult
 from hybrid_jax.errors import UnknownNameError
-from hybrid_jax.export.tpprogram import to_tp_program
+from hybrid_jax.export.fanuc_tp import to_tp_program
 from hybrid_jax.export.trajectories import to_csv, to_joint_trajectory, write_json
-from hybrid_jax.planner.records import PlanResult
-from hybrid_jax.skills.task import Task
+from hybrid_jax.runtime.artifacts import write_text
+from hybrid_jax.tasks.task import Task
 from hybrid_jax.types import Workcell
 
 ENDINGS = (".json", ".csv", ".ls")
-"""Kinds of file: JointTrajectory as JSON or CSV, TP program."""
+"""Endings of files: JointTrajectory as JSON or CSV, TP program."""
 
 
 def refuse_ending(path: Path) -> None:
-    """Raise before a plan is made that could not be written.
+    """Refuse an unknown ending, before a plan is made that could not be written.
 
     Raises:
         UnknownNameError: no such kind of file.
@@ -26,13 +26,13 @@ def refuse_ending(path: Path) -> None:
 
 
 def write_plan(path: Path | str, cell: Workcell, task: Task, plan: PlanResult) -> None:
-    """Write a plan. JSON says also why there is none; the others are written of plans alone.
+    """Write a plan. Only JSON is written without a plan too, to say why there is none.
 
     Args:
         path: ending in `.json`, `.csv` or `.ls`.
         cell: that the plan was made in.
         task: that was planned.
-        plan: with status OK, but for JSON.
+        plan: its phases are empty where there is no plan.
 
     Raises:
         UnknownNameError: no such kind of file.

@@ -9,16 +9,16 @@ import jax.numpy as jnp
 from jax import export as jax_export
 
 from hybrid_jax.agents import joint, networks
-from hybrid_jax.artifacts import write_bytes, write_text
+from hybrid_jax.envs.reach import ReachEnv
 from hybrid_jax.errors import RunFolderError
-from hybrid_jax.planner.loading import load_policy
-from hybrid_jax.runfolder import Run
-from hybrid_jax.simulation.reach import ReachWorld
+from hybrid_jax.runs.load_planner import load_policy
+from hybrid_jax.runs.run_folder import Run
+from hybrid_jax.runtime.artifacts import write_bytes, write_text
 
 FORMAT = "hybrid_jax.policy/1"
 """Name and version of the description beside an exported policy."""
 PLATFORMS = ("cpu", "cuda", "rocm", "tpu")
-"""What the exported program can be compiled for."""
+"""Platforms that the exported program can be compiled for."""
 
 
 def export_policy(run: Run, path: Path | str) -> None:
@@ -35,14 +35,15 @@ def export_policy(run: Run, path: Path | str) -> None:
         RunFolderError: the stage is missing, or the agent is the paper's.
     """
     path, cell, config = Path(path), run.cell, run.preset.joint
-    if joint.world_kind(config) is not ReachWorld:
+    if joint.env_kind(config) is not ReachEnv:
         raise RunFolderError(
             f"{run.folder} holds the paper's agent, whose observations need the sensor of its "
-            "world: only agents of the other presets can be exported"
+            "environment: only agents of the other presets can be exported"
         )
     net = joint.make_net(cell, config)
     length = joint.observation_length(cell, config)
     policy = load_policy(run, "drl.npz", "joint agent", net, length)
+    # a symbolic batch size: one exported program serves any batch
     shape = jax.ShapeDtypeStruct((*jax_export.symbolic_shape("batch"), length), jnp.float32)
     act = jax.jit(lambda observations: networks.act(net, policy, observations, None))
     write_bytes(path, bytes(jax_export.export(act, platforms=PLATFORMS)(shape).serialize()))
@@ -50,9 +51,9 @@ def export_policy(run: Run, path: Path | str) -> None:
 
 
 def describe(run: Run) -> dict:
-    """What goes into an exported policy and what comes out."""
+    """Description of an exported policy: its observation and action, with units and limits."""
     cell, rules = run.cell, run.preset.joint.reach
-    parts = ReachWorld.observation_parts(cell)
+    parts = ReachEnv.observation_parts(cell)
     return {
         "format": FORMAT,
         "workcell": cell.source.digest,

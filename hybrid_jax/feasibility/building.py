@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Build the map of a cell block by block: bounded memory, progress, and going on after a stop."""
+"""Build the map of a cell block by block: memory is bounded, and a build that stops can go on."""
 
 import hashlib
 import itertools
@@ -13,17 +13,17 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from hybrid_jax import artifacts
 from hybrid_jax.errors import MapError, RunFolderError
+from hybrid_jax.feasibility.evaluation import Judge, Level, Reason
 from hybrid_jax.feasibility.flooding import Block, Field, Flood
 from hybrid_jax.feasibility.grid import MapConfig, nearest_cell, orientations
-from hybrid_jax.feasibility.judging import Judge, Level, Reason
-from hybrid_jax.kernels.inputs import single_precision
-from hybrid_jax.types import Workcell, pytree
+from hybrid_jax.kernels.argument_checks import single_precision
+from hybrid_jax.runtime import artifacts
+from hybrid_jax.types import Record, Workcell, pytree
 
 _SCALE_SAMPLES = 65536
 _PIECE = 262_144
-"""Random configurations drawn at a time."""
+"""Random configurations drawn at a time as first seeds."""
 _KIND = "feasibility map"
 _TINY = 1e-12
 _ON_GRID = ("feasibility", "reason", "manipulability", "clearance")
@@ -31,7 +31,7 @@ _BLOCK = "block_{:05d}.npz"
 
 
 @pytree
-class FeasibilityMap:
+class FeasibilityMap(Record):
     """A built map; the grid axes come first: `[x, y, z, orientation]`."""
 
     lower: Array
@@ -39,18 +39,18 @@ class FeasibilityMap:
     spacing: Array
     """Edge of a voxel [m]."""
     orientations: Array
-    """`[orientation, 4]` quaternions."""
+    """`[orientation, 4]` quaternions of the tool."""
     feasibility: Array
     """`fea` in [0, 1]: reachable * man' * collision-free; 0 where infeasible."""
     reason: Array
     """`Reason` of each pose, uint8."""
     configuration: Array
-    """`[..., joint]` a configuration, feasible where the pose is, else the nearest to it that was
-    found: a seed for IK; zeros where there is none."""
+    """`[x, y, z, orientation, joint]` [rad or m], a seed for IK: feasible where the pose is, else
+    the best attempt within the limits; zeros where there is none."""
     manipulability: Array
-    """Of that configuration."""
+    """Manipulability of that configuration; 0 where there is none."""
     clearance: Array
-    """Of that configuration [m]; NaN where there is none."""
+    """Clearance of that configuration [m]; NaN where there is none."""
     manipulability_scale: Array
     """`man' = man / scale`: the 95th percentile over collision-free random configurations."""
 
@@ -73,45 +73,44 @@ def blocks(config: MapConfig) -> Iterator[Block]:
 
 
 def map_bytes(config: MapConfig, joints: int) -> int:
-    """Size of a built map in memory."""
+    """Size of a built map in memory [byte]."""
     return config.size * (4 * joints + 4 + 4 + 4 + 1)
 
 
 def _refuse_too_large(config: MapConfig, joints: int) -> None:
-    wanted = map_bytes(config, joints)
-    there = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    if wanted > 0.5 * there:
+    required = map_bytes(config, joints)
+    ram = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    if required > 0.5 * ram:
         raise MapError(
             f"a map of {config.size:,} poses ({' x '.join(map(str, config.shape))}) takes "
-            f"{wanted / 2**30:.1f} GiB, more than half of this machine's {there / 2**30:.1f} GiB: "
+            f"{required / 2**30:.1f} GiB, more than half of this machine's {ram / 2**30:.1f} GiB: "
             "take a coarser spacing, fewer orientations or a smaller volume"
         )
 
 
 def _first_seeds(judge: Judge, block: Block, limits: np.ndarray, rng):
-    """Random configurations, one for each pose of a block that a tool came near to.
+    """Draw random configurations; of those whose tools are nearest to one pose the first is kept.
 
-    Yields:
-        Flat indices in the block, and configurations, piece by piece.
+    Yields flat indices in the block `[n]`, and configurations `[n, joint]`, piece by piece.
     """
-    config, left = judge.config, judge.config.samples * block.size
+    config, remaining = judge.config, judge.config.samples * block.size
     seen = np.zeros(block.size, bool)
-    while left > 0:
-        count = min(left, _PIECE)
+    while remaining > 0:
+        count = min(remaining, _PIECE)
         q = rng.uniform(*limits.T, (count, len(limits))).astype(np.float32)
-        at = block.block_index(config, nearest_cell(config, *judge.sample(q)))
-        at, which = np.unique(at, return_index=True)
-        new = (at >= 0) & ~seen[at]
-        seen[at[new]] = True
-        yield at[new], q[which[new]]
-        left -= count
+        index = block.block_index(config, nearest_cell(config, *judge.sample(q)))
+        index, drawn = np.unique(index, return_index=True)
+        new = (index >= 0) & ~seen[index]
+        seen[index[new]] = True
+        yield index[new], q[drawn[new]]
+        remaining -= count
 
 
 def _fill(judge: Judge, block: Block, limits: np.ndarray, rng, progress) -> Field:
-    """Solve one block."""
+    """Solve one block; `progress` gets the share that is done, by fixed weights of its steps."""
     config, flood = judge.config, Flood(judge, block, len(limits))
-    for at, q in _first_seeds(judge, block, limits, rng):
-        flood.seed(at, q)
+    for index, q in _first_seeds(judge, block, limits, rng):
+        flood.seed(index, q)
     progress(0.15)
     flood.spread(lambda share: progress(0.15 + 0.6 * share))
     for k in range(config.restarts):
@@ -123,18 +122,27 @@ def _fill(judge: Judge, block: Block, limits: np.ndarray, rng, progress) -> Fiel
 
 def _reasons(field: Field) -> np.ndarray:
     """Levels to reasons; a collision is with what the best attempt is deepest in."""
-    reason = np.array([Reason.UNREACHABLE, Reason.JOINT_LIMIT, Reason.CELL_COLLISION,
-                       Reason.NEAR_SINGULAR, Reason.FEASIBLE], np.uint8)[field.level]  # fmt: skip
+    reason = np.array(
+        [
+            Reason.UNREACHABLE,
+            Reason.JOINT_LIMIT,
+            Reason.CELL_COLLISION,
+            Reason.NEAR_SINGULAR,
+            Reason.FEASIBLE,
+        ],
+        np.uint8,
+    )[field.level]
     reason[(field.level == Level.REACHED) & field.own] = Reason.SELF_COLLISION
     return reason
 
 
 def _scale(judge: Judge, limits: np.ndarray, rng) -> float:
-    """95th percentile of the manipulability of collision-free configurations."""
+    """95th percentile of the manipulability of collision-free configurations; 1 without any."""
+    # a configuration attempts its own tool pose, with no step of IK: it is judged as it is
     q = rng.uniform(*limits.T, (_SCALE_SAMPLES, len(limits))).astype(np.float32)
     level, _, _, man, _ = judge.attempt(*judge.sample(q), q, 0)
-    free = man[level >= Level.FREE]
-    return float(np.percentile(free, 95)) if len(free) else 1.0
+    free_manipulability = man[level >= Level.FREE]
+    return float(np.percentile(free_manipulability, 95)) if len(free_manipulability) else 1.0
 
 
 def _fingerprint(cell: Workcell, config: MapConfig, seed: int) -> str:
@@ -168,18 +176,18 @@ class _Partial:
 
 def _solve_block(judge, block, limits, rng, progress) -> dict[str, np.ndarray]:
     field = _fill(judge, block, limits, rng, progress)
-    known = field.level >= Level.REACHED
-    q = np.where(known[:, None], field.q, 0.0)
+    reached = field.level >= Level.REACHED
+    q = np.where(reached[:, None], field.q, 0.0)
     return {
         "reason": _reasons(field),
         "configuration": q.astype(np.float32),
-        "manipulability": np.where(known, field.man, 0.0).astype(np.float32),
-        "clearance": np.where(known, field.gap, np.nan).astype(np.float32),
+        "manipulability": np.where(reached, field.man, 0.0).astype(np.float32),
+        "clearance": np.where(reached, field.gap, np.nan).astype(np.float32),
     }
 
 
 def _within(progress, done: int, size: int, total: int) -> Callable[[float], None]:
-    """Reporter of the share of one block that is done."""
+    """Reporter that turns the share of one block that is done into poses of the whole map."""
     return lambda share: progress(done + int(share * size), total) if progress else None
 
 
@@ -205,7 +213,7 @@ def build_feasibility_map(
         devices: JAX devices to share the work; all local ones by default.
 
     Returns:
-        Feasibility, reason and a configuration of each pose `[x, y, z, orientation]`.
+        The map: for each pose `[x, y, z, orientation]` its feasibility, reason and configuration.
 
     Raises:
         MapError: the map would not fit into memory; the message says how large it would be.
@@ -217,32 +225,33 @@ def build_feasibility_map(
     scale = _scale(quick, limits, np.random.default_rng((seed, 0)))
     judge.floor = np.float32(config.least_manipulability * scale)
     stored = _Partial(partial, _fingerprint(cell, config, seed))
-    found, done = {}, 0
+    grids, done = {}, 0
     for number, block in enumerate(blocks(config)):
         arrays = stored.read(number)
         if arrays is None:
             report = _within(progress, done, block.size, config.size)
+            # each block draws its own numbers: a resumed build gets those of an uninterrupted one
             rng = np.random.default_rng((seed, 1, number))
             arrays = _solve_block(judge, block, limits, rng, report)
             stored.write(number, arrays)
-        place = tuple(slice(f, f + n) for f, n in zip(block.first, block.count, strict=True))
+        span = tuple(slice(f, f + n) for f, n in zip(block.first, block.count, strict=True))
         for key, a in arrays.items():
-            whole = found.setdefault(key, np.empty((*config.shape, *a.shape[1:]), a.dtype))
-            whole[place] = a.reshape(*block.shape, *a.shape[1:])
+            grid = grids.setdefault(key, np.empty((*config.shape, *a.shape[1:]), a.dtype))
+            grid[span] = a.reshape(*block.shape, *a.shape[1:])
         done += block.size
         if progress:
             progress(done, config.size)
     stored.discard()
     # an arm of few joints is singular everywhere
-    share = np.clip(found["manipulability"] / max(scale, _TINY), 0.0, 1.0)
-    fea = np.where(found["reason"] == Reason.FEASIBLE, share, 0.0)
+    share = np.clip(grids["manipulability"] / max(scale, _TINY), 0.0, 1.0)
+    fea = np.where(grids["reason"] == Reason.FEASIBLE, share, 0.0)
     return FeasibilityMap(
         lower=jnp.array(config.lower, jnp.float32),
         spacing=jnp.float32(config.spacing),
         orientations=jnp.asarray(orientations(config), jnp.float32),
         feasibility=jnp.asarray(fea, jnp.float32),
         manipulability_scale=jnp.float32(scale),
-        **{k: jnp.asarray(a) for k, a in found.items()},
+        **{k: jnp.asarray(a) for k, a in grids.items()},
     )
 
 
@@ -252,7 +261,7 @@ def save_map(path: Path | str, cell: Workcell, fmap: FeasibilityMap) -> None:
     Args:
         path: file to write, ending in `.npz`.
         cell: that the map is of.
-        fmap: a built map.
+        fmap: a built map, its arrays `[x, y, z, orientation]`.
 
     Raises:
         OSError: it cannot be written; what was there before stays.
@@ -272,7 +281,7 @@ def load_map(path: Path | str, cell: Workcell) -> FeasibilityMap:
         The map, its arrays `[x, y, z, orientation]`.
 
     Raises:
-        RunFolderError: missing, damaged, or the map of another cell.
+        RunFolderError: the file is missing, damaged, or the map of another cell.
     """
     _, state = artifacts.load(Path(path), _KIND, cell.source.digest)
     try:

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hybrid_jax.feasibility.evaluation import Judge, Level
 from hybrid_jax.feasibility.grid import MapConfig, near_orientations, orientations, poses_at
-from hybrid_jax.feasibility.judging import Judge, Level
 
 
 @dataclass(frozen=True)
@@ -21,26 +21,30 @@ class Block:
     """A box of voxels with all orientations."""
 
     first: tuple[int, int, int]
+    """Number of its first voxel in the grid, along x, y and z."""
     count: tuple[int, int, int]
+    """Voxels along x, y and z."""
     turns: int
+    """Orientations."""
 
     @property
     def shape(self) -> tuple[int, int, int, int]:
+        """Voxels along x, y and z, and orientations."""
         return (*self.count, self.turns)
 
     @property
     def size(self) -> int:
-        """How many poses it has."""
+        """Number of poses in it."""
         return int(np.prod(self.shape))
 
     def grid_index(self, config: MapConfig, index: np.ndarray) -> np.ndarray:
-        """Flat index in the grid of flat indices in the block."""
+        """Flat indices in the grid `[n]` from flat indices in the block `[n]`."""
         *voxel, turn = np.unravel_index(index, self.shape)
         voxel = [v + f for v, f in zip(voxel, self.first, strict=True)]
         return np.ravel_multi_index((*voxel, turn), config.shape)
 
     def block_index(self, config: MapConfig, index: np.ndarray) -> np.ndarray:
-        """Flat index in the block of flat indices in the grid; -1 outside."""
+        """Flat indices in the block `[n]` from flat indices in the grid `[n]`; -1 outside."""
         *voxel, turn = np.unravel_index(np.maximum(index, 0), config.shape)
         voxel = np.stack(voxel, axis=1) - np.array(self.first)
         inside = (index >= 0) & np.all((voxel >= 0) & (voxel < self.count), axis=1)
@@ -49,7 +53,11 @@ class Block:
 
 
 class Field:
-    """The best attempt at each pose of a block."""
+    """The best attempt at each pose of a block, by flat index.
+
+    `level`, clearance `gap` [m], manipulability `man` and `own` (is the robot itself nearest?) are
+    `[pose]`, configurations `q` `[pose, joint]` [rad or m].
+    """
 
     def __init__(self, block: Block, joints: int):
         self.block = block
@@ -60,17 +68,32 @@ class Field:
         self.own = np.zeros(block.size, bool)
 
     def improve(self, index: np.ndarray, level, q, gap, man, own) -> None:
-        """Keep what is better than before; of equals in collision, the less deep one."""
+        """Keep attempts that are better than before; of equals in collision, the less deep one.
+
+        Args:
+            index: `[n]` poses; none twice.
+            level, gap, man, own: `[n]` see the class.
+            q: `[n, joint]` [rad or m].
+        """
         old = self.level[index]
-        better = (level > old) | ((level == old) & (level == Level.REACHED)
-                                  & (gap > self.gap[index]))  # fmt: skip
-        at = index[better]
-        self.level[at], self.q[at] = level[better], q[better]
-        self.gap[at], self.man[at], self.own[at] = gap[better], man[better], own[better]
+        better = (level > old) | (
+            (level == old) & (level == Level.REACHED) & (gap > self.gap[index])
+        )
+        improved = index[better]
+        self.level[improved], self.q[improved] = level[better], q[better]
+        self.gap[improved], self.man[improved], self.own[improved] = (
+            gap[better],
+            man[better],
+            own[better],
+        )
 
 
 class Flood:
-    """Fill one block."""
+    """Fills one block.
+
+    Directions to neighbours are numbered: forwards and backwards along x, y and z, then the nearest
+    orientations of the same voxel.
+    """
 
     def __init__(self, judge: Judge, block: Block, joints: int):
         self.judge, self.config, self.block = judge, judge.config, block
@@ -82,36 +105,37 @@ class Flood:
         """Attempts made so far."""
 
     def _their_level(self, way: int) -> np.ndarray:
-        """Level of each pose's neighbour in one direction, in the block's shape; 0 beyond it."""
+        """Level `[x, y, z, turn]` of the neighbours in one direction; 0 outside the block."""
         level = self.field.level.reshape(self.block.shape)
         if way >= 6:
             return level[..., self._near[:, way - 6]]
         axis, forward = way // 2, way % 2 == 0
-        theirs = np.zeros_like(level)
+        neighbour_level = np.zeros_like(level)
         inner, outer = slice(None, -1), slice(1, None)
-        here, there = (inner, outer) if forward else (outer, inner)
+        target, source = (inner, outer) if forward else (outer, inner)
         lead = (slice(None),) * axis
-        theirs[(*lead, here)] = level[(*lead, there)]
-        return theirs
+        neighbour_level[(*lead, target)] = level[(*lead, source)]
+        return neighbour_level
 
     def _neighbour(self, index: np.ndarray, way: np.ndarray) -> np.ndarray:
-        """Flat index of the neighbour of some poses, each in its own direction."""
+        """Flat indices `[n]` of the neighbours of poses `[n]`, each in its own direction."""
         *voxel, turn = np.unravel_index(index, self.block.shape)
         for axis in range(3):
             voxel[axis] = voxel[axis] + (way == 2 * axis) - (way == 2 * axis + 1)
-        near = self._near[turn, np.maximum(way - 6, 0)] if self._near.shape[1] else turn
-        return np.ravel_multi_index((*voxel, np.where(way >= 6, near, turn)), self.block.shape)
+        near_turn = self._near[turn, np.maximum(way - 6, 0)] if self._near.shape[1] else turn
+        return np.ravel_multi_index((*voxel, np.where(way >= 6, near_turn, turn)), self.block.shape)
 
     def _choose(self) -> tuple[np.ndarray, np.ndarray]:
-        """Poses that have a neighbour to try, and that neighbour."""
+        """Poses that have a neighbour to try, and that neighbour: flat indices `[n]`."""
         level = self.field.level.reshape(self.block.shape)
-        way = np.full(self.block.shape, -1, np.int8)
+        direction = np.full(self.block.shape, -1, np.int8)
         for k, tried in enumerate(self._tried):
-            theirs = self._their_level(k)
-            useful = (theirs > level) & (theirs > tried) & (way < 0)
-            way[useful], tried[useful] = k, theirs[useful]
-        index = np.flatnonzero(way >= 0)
-        return index, self._neighbour(index, way.ravel()[index])
+            neighbour_level = self._their_level(k)
+            # tried again only when the neighbour has come further than at the last try
+            useful = (neighbour_level > level) & (neighbour_level > tried) & (direction < 0)
+            direction[useful], tried[useful] = k, neighbour_level[useful]
+        index = np.flatnonzero(direction >= 0)
+        return index, self._neighbour(index, direction.ravel()[index])
 
     def _poses(self, index: np.ndarray):
         return poses_at(self.config, self.block.grid_index(self.config, index))
@@ -125,11 +149,19 @@ class Flood:
         self.field.improve(index, *self.judge.stretch(*self._poses(index), seed, iterations))
 
     def seed(self, index: np.ndarray, q: np.ndarray) -> None:
-        """Try configurations at poses that they are near to."""
+        """Try configurations `[n, joint]` at poses that they are near to, by flat index `[n]`."""
         self._try(index, q, self.config.near_iterations)
 
     def restart(self, rng: np.random.Generator, limits: np.ndarray) -> int:
-        """Try a random seed at every pose that is reached but not feasible; how many there are."""
+        """Try a random seed at every pose that is reached but not feasible.
+
+        Args:
+            rng: draws the seeds.
+            limits: `[joint, 2]` to draw between [rad or m].
+
+        Returns:
+            How many such poses there are.
+        """
         level = self.field.level
         index = np.flatnonzero((level == Level.REACHED) | (level == Level.FREE))
         if len(index):
@@ -138,20 +170,21 @@ class Flood:
         return len(index)
 
     def _cycle(self) -> int:
-        """Every pose that can learn from a neighbour tries one; how many did."""
+        """Let every pose that has a neighbour to try, try one; return how many did."""
         field, iterations = self.field, self.config.near_iterations
         index, neighbour = self._choose()
-        seed, inside = field.q[neighbour], field.level[neighbour] >= Level.REACHED
-        if inside.any():
-            self._try(index[inside], seed[inside], iterations)
-        missing = field.level[index] == Level.NOTHING
-        if missing.any():
-            self._stretch(index[missing], seed[missing], iterations)
+        seed, seeded = field.q[neighbour], field.level[neighbour] >= Level.REACHED
+        if seeded.any():
+            self._try(index[seeded], seed[seeded], iterations)
+        unreached = field.level[index] == Level.NOTHING
+        if unreached.any():
+            self._stretch(index[unreached], seed[unreached], iterations)
         return len(index)
 
     def spread(self, progress: Callable[[float], None]) -> None:
-        """Go on until no pose has a neighbour left to try."""
+        """Let poses try their neighbours until none is left; `progress` gets a share up to 1."""
         cycle = 0
         while self._cycle():
             cycle += 1
+            # how many cycles there will be is unknown: the share only ever grows
             progress(1 - 0.9**cycle)

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Which poses a map covers: voxels along x, y, z times tool orientations."""
+"""Which poses a map covers: voxels along x, y, z times tool orientations.
+
+A flat index runs through the grid `[x, y, z, orientation]` with the orientation fastest.
+"""
 
 import itertools
 from dataclasses import dataclass
@@ -59,6 +62,7 @@ class MapConfig:
     @property
     def shape(self) -> tuple[int, int, int, int]:
         """Voxels along x, y, z and orientations."""
+        # 1e-6: a whole number of voxels must not lose its last one to rounding
         counts = [
             int((u - v) / self.spacing + 1e-6) + 1
             for u, v in zip(self.upper, self.lower, strict=True)
@@ -68,12 +72,12 @@ class MapConfig:
 
     @property
     def size(self) -> int:
-        """How many poses there are."""
+        """Number of poses."""
         return int(np.prod(self.shape))
 
 
 def even_orientations(count: int) -> np.ndarray:
-    """`[count, 4]` quaternions spread evenly over SO(3).
+    """Quaternions `[count, 4]` spread evenly over SO(3).
 
     Super-Fibonacci spirals (Alexa 2022, "Super-Fibonacci Spirals: Fast, Low-Discrepancy Sampling
     of SO(3)"): psi is the root of psi^4 = psi + 4.
@@ -88,26 +92,26 @@ def even_orientations(count: int) -> np.ndarray:
 
 
 def down_orientations(config: MapConfig) -> np.ndarray:
-    """`[orientation, 4]` tool-down orientations turned over the Euler box of the configuration."""
+    """Quaternions `[orientation, 4]` of a tool that points down, turned over the Euler box."""
     angles = list(itertools.product(config.yaws, config.tilts, config.tilts))
     turns = Rotation.from_euler("ZXY", angles) * Rotation.from_euler("x", np.pi)
     return turns.as_quat(scalar_first=True)
 
 
 def orientations(config: MapConfig) -> np.ndarray:
-    """`[orientation, 4]` quaternions of the grid."""
+    """Quaternions `[orientation, 4]` of the grid."""
     if config.orientations is None:
         return down_orientations(config)
     return even_orientations(config.orientations)
 
 
 def axes(config: MapConfig) -> list[np.ndarray]:
-    """Centres of the voxels along x, y and z [m]."""
+    """Centres of the voxels along x, y and z: `[voxel]` each [m]."""
     return [config.lower[i] + config.spacing * np.arange(config.shape[i]) for i in range(3)]
 
 
 def poses_at(config: MapConfig, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Positions `[n, 3]` and quaternions `[n, 4]` of grid poses by flat index, float32."""
+    """Positions `[n, 3]` [m] and quaternions `[n, 4]` of poses by flat index `[n]`, in float32."""
     *voxel, turn = np.unravel_index(index, config.shape)
     centres = axes(config)
     position = np.stack([centres[i][voxel[i]] for i in range(3)], axis=1)
@@ -115,14 +119,26 @@ def poses_at(config: MapConfig, index: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def near_orientations(quats: np.ndarray, count: int) -> np.ndarray:
-    """`[orientation, count]` the nearest other orientations of each, nearest first."""
-    likeness = np.abs(quats @ quats.T)
-    np.fill_diagonal(likeness, -1.0)
-    return np.argsort(-likeness, axis=1)[:, : min(count, len(quats) - 1)]
+    """Numbers `[orientation, count]` of the nearest other orientations of each, nearest first.
+
+    Args:
+        quats: `[orientation, 4]` unit quaternions.
+        count: neighbours of each; fewer where there are not so many.
+    """
+    # |q . p| is the cosine of half the angle between them, whatever their signs
+    similarity = np.abs(quats @ quats.T)
+    np.fill_diagonal(similarity, -1.0)
+    return np.argsort(-similarity, axis=1)[:, : min(count, len(quats) - 1)]
 
 
 def nearest_cell(config: MapConfig, position: np.ndarray, quat: np.ndarray) -> np.ndarray:
-    """Flat index of the grid pose nearest to each pose; -1 outside the volume."""
+    """Flat index `[n]` of the grid pose nearest to each pose; -1 outside the volume.
+
+    Args:
+        config: the grid.
+        position: `[n, 3]` [m].
+        quat: `[n, 4]` unit quaternions.
+    """
     voxel = np.round((position - np.array(config.lower)) / config.spacing).astype(int)
     inside = np.all((voxel >= 0) & (voxel < config.shape[:3]), axis=1)
     turns = orientations(config).astype(np.float32).T

@@ -20,28 +20,37 @@ ACCELERATOR_CHUNK = 65536
 
 
 def by_backend(cpu: int, accelerator: int) -> int:
-    """How many items to take at once: few fit a CPU's cache, few leave an accelerator waiting."""
+    """Choose the number of items to take at once for JAX's default back end.
+
+    Few items fit a CPU's cache; as few would leave an accelerator waiting.
+    """
     return cpu if jax.default_backend() == "cpu" else accelerator
 
 
 def batch_size(args) -> int:
-    """The B of a kernel's arguments."""
+    """Batch size B of a kernel's arguments, leaves `[1 or B, ...]`."""
     return max(leaf.shape[0] for leaf in jax.tree.leaves(args))
 
 
 def map_items(function: Callable, args, size: int):
-    """Apply `function` to the leaves that have one entry per item, passing shared ones through."""
+    """Apply `function` to the leaves that have one entry per item.
+
+    Args:
+        function: takes and returns a leaf `[size, ...]`.
+        args: leaves `[1 or size, ...]`; those of one entry are passed through as they are.
+        size: of the batch.
+    """
     return jax.tree.map(lambda a: function(a) if a.shape[0] == size else a, args)
 
 
 def padded_chunks(count: int, size: int) -> list[tuple[np.ndarray, int]]:
-    """Indices 0 .. count - 1 in chunks of one size, so that few programs serve any count.
+    """Cut the indices 0 .. count - 1 into chunks of one size: few programs serve any count.
 
     Where three quarters of a chunk would be padding, each item is a chunk of its own. The last
     chunk repeats its last index.
 
     Returns:
-        Indices `[size]` or `[1]` of each chunk, and how many of them count.
+        Indices `[size]` or `[1]` of each chunk, and how many of them are no padding.
     """
     if 4 * count <= size:
         return [(np.array([i]), 1) for i in range(count)]
@@ -53,60 +62,81 @@ def padded_chunks(count: int, size: int) -> list[tuple[np.ndarray, int]]:
 
 
 def batched(kernel: Callable) -> Callable:
-    """Function of one item from a kernel of whole batches; see the module."""
+    """Turn a kernel of whole batches into a function of one item.
+
+    Args:
+        kernel: takes leaves `[1 or B, ...]`, returns leaves `[B, ...]`.
+
+    Returns:
+        Function of the same arguments and results without the batch axis, to be vmapped.
+    """
 
     @custom_vmap
-    def whole(*args):
+    def over_batch(*args):
         return kernel(*args)
 
-    @whole.def_vmap
+    @over_batch.def_vmap
     def _merge(axis_size, in_batched, *args):
         """Flatten a further batch axis into the one the kernel knows."""
-        inner = max(
+        inner_size = max(
             a.shape[1] if on else a.shape[0]
             for a, on in zip(jax.tree.leaves(args), jax.tree.leaves(in_batched), strict=True)
         )
 
         def merge(a, on):
+            # what all items share stays one entry: the kernel broadcasts it
             if not on and a.shape[0] == 1:
                 return a
             a = a if on else jnp.broadcast_to(a, (axis_size, *a.shape))
-            a = jnp.broadcast_to(a, (axis_size, inner, *a.shape[2:]))
-            return a.reshape(axis_size * inner, *a.shape[2:])
+            a = jnp.broadcast_to(a, (axis_size, inner_size, *a.shape[2:]))
+            return a.reshape(axis_size * inner_size, *a.shape[2:])
 
-        out = whole(*jax.tree.map(merge, args, tuple(in_batched)))
-        out = jax.tree.map(lambda a: a.reshape(axis_size, inner, *a.shape[1:]), out)
-        return out, jax.tree.map(lambda _: True, out)
+        results = over_batch(*jax.tree.map(merge, args, tuple(in_batched)))
+        results = jax.tree.map(lambda a: a.reshape(axis_size, inner_size, *a.shape[1:]), results)
+        return results, jax.tree.map(lambda _: True, results)
 
-    def one(*args):
-        out = whole(*jax.tree.map(lambda a: jnp.asarray(a)[None], args))
-        return jax.tree.map(lambda a: a[0], out)
+    def single_item(*args):
+        results = over_batch(*jax.tree.map(lambda a: jnp.asarray(a)[None], args))
+        return jax.tree.map(lambda a: a[0], results)
 
-    return one
+    return single_item
 
 
 def in_chunks(kernel: Callable, *args, cpu_chunk: int = CPU_CHUNK):
-    """Run a kernel over a batch piece by piece."""
+    """Run a kernel over a batch, a chunk at a time, to bound its working set.
+
+    Args:
+        kernel: takes leaves `[1 or b, ...]`, returns leaves `[b, ...]`.
+        args: its arguments for the whole batch, leaves `[1 or B, ...]`.
+        cpu_chunk: items in a chunk on a CPU.
+
+    Returns:
+        The kernel's results, leaves `[B, ...]`.
+    """
     size = batch_size(args)
     chunk = by_backend(cpu_chunk, ACCELERATOR_CHUNK)
     if size <= chunk:
         return kernel(*args)
     count = -(-size // chunk)
-    spare = count * chunk - size
-    leaves, structure = jax.tree.flatten(args)
-    own = [a.shape[0] == size for a in leaves]
+    surplus = count * chunk - size  # `lax.map` needs chunks of one size
+    leaves, treedef = jax.tree.flatten(args)
+    per_item = [a.shape[0] == size for a in leaves]
 
-    def split(a):
-        a = jnp.concatenate([a, jnp.broadcast_to(a[-1:], (spare, *a.shape[1:]))])
+    def to_chunks(a):
+        a = jnp.concatenate([a, jnp.broadcast_to(a[-1:], (surplus, *a.shape[1:]))])
         return a.reshape(count, chunk, *a.shape[1:])
 
     def run(pieces):
         pieces = iter(pieces)
-        whole = [next(pieces) if mine else a for a, mine in zip(leaves, own, strict=True)]
-        return kernel(*jax.tree.unflatten(structure, whole))
+        chunk_leaves = [
+            next(pieces) if has_batch else a for a, has_batch in zip(leaves, per_item, strict=True)
+        ]
+        return kernel(*jax.tree.unflatten(treedef, chunk_leaves))
 
-    out = jax.lax.map(run, [split(a) for a, mine in zip(leaves, own, strict=True) if mine])
-    return jax.tree.map(lambda a: a.reshape(count * chunk, *a.shape[2:])[:size], out)
+    results = jax.lax.map(
+        run, [to_chunks(a) for a, has_batch in zip(leaves, per_item, strict=True) if has_batch]
+    )
+    return jax.tree.map(lambda a: a.reshape(count * chunk, *a.shape[2:])[:size], results)
 
 
 def redo(kernel: Callable, args, found, pending, chunk: int):
@@ -115,18 +145,25 @@ def redo(kernel: Callable, args, found, pending, chunk: int):
     Args:
         kernel: returns leaves like those of `found`.
         args: the kernel's arguments, leaves `[1 or B, ...]`.
-        found: what is known so far, leaves `[B, ...]`.
-        pending: `[B]` where `found` is to be replaced.
+        found: results so far, leaves `[B, ...]`.
+        pending: `[B]` True where `found` is to be replaced.
+        chunk: items in one pass.
+
+    Returns:
+        `found` with the pending items replaced, leaves `[B, ...]`.
     """
     size = batch_size(args)
     chunk = min(chunk, size)
+    # shapes are static under `jit`: `fill_value` fills the last pass with item 0 as often as needed
     order = jnp.nonzero(pending, size=-(-size // chunk) * chunk, fill_value=0)[0]
     count = jnp.sum(pending)
 
     def step(state):
-        done, found = state
+        done, results = state
         items = jax.lax.dynamic_slice_in_dim(order, done, chunk)
-        again = kernel(*map_items(lambda a: a[items], args, size))
-        return done + chunk, jax.tree.map(lambda old, new: old.at[items].set(new), found, again)
+        recomputed = kernel(*map_items(lambda a: a[items], args, size))
+        return done + chunk, jax.tree.map(
+            lambda old, new: old.at[items].set(new), results, recomputed
+        )
 
     return jax.lax.while_loop(lambda state: state[0] < count, step, (jnp.int32(0), found))[1]

@@ -1,34 +1,36 @@
 # SPDX-License-Identifier: MIT
-"""A plan's phases one after the other in time, and what the gripper does between them."""
+"""The phases of a plan in time, and the commands to the gripper between them."""
 
 from dataclasses import dataclass
 
-from hybrid_jax.skills.task import Task
+from hybrid_jax.tasks.task import Task
 from hybrid_jax.types import Trajectory
 
 GRIPPER_PAUSE = 0.8
-"""Time between two phases in which the gripper moves [s]."""
+"""Pause between two phases, in which the gripper moves [s]."""
 
 
 @dataclass(frozen=True)
 class Slot:
-    """When one phase takes place."""
+    """The time in which one phase takes place."""
 
     begin: float
-    """Of its motion [s]."""
+    """Begin of the motion [s]."""
     end: float
-    """[s]."""
+    """End of the motion [s]."""
     command: str
-    """What the gripper is told before the phase, where the arm rests then: open, close; "" for
-    nothing."""
+    """Command to the gripper before the phase, while the arm rests: open or close; "" for none."""
 
 
 def timeline(task: Task, phases: list[Trajectory]) -> list[Slot]:
-    """When each phase of a plan takes place. Where the gripper moves, the arm rests meanwhile.
+    """The times of a plan's phases; while the gripper moves, the arm rests.
 
     Args:
-        task: that was planned.
-        phases: of the plan.
+        task: the task that was planned.
+        phases: trajectories of the plan, `times` `[point]` [s] each from zero.
+
+    Returns:
+        One slot for each phase.
     """
     slots, begin, grips = [], 0.0, any(task.carrying)
     for number, (phase, (low, _)) in enumerate(zip(phases, task.phases, strict=False)):

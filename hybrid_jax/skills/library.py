@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The skill library: demonstrations, cleaned and stacked, and how they are judged and mapped."""
+"""The skill library: demonstrations, filtered and stacked, and the settings for using them."""
 
 from dataclasses import dataclass
 
@@ -8,60 +8,60 @@ import numpy as np
 from flax import struct
 from jax import Array
 
+from hybrid_jax.demonstrations.demonstration import Demonstration
+from hybrid_jax.demonstrations.filtering import clean
+from hybrid_jax.demonstrations.splitting import at_gripper_events
 from hybrid_jax.errors import DemonstrationError, InputError, UnknownNameError
 from hybrid_jax.kernels import dualquat as dq
-from hybrid_jax.skills.cleaning import clean
-from hybrid_jax.skills.cutting import at_gripper_events
-from hybrid_jax.skills.demonstration import Demonstration
-from hybrid_jax.skills.distance import BETAS
+from hybrid_jax.skills.feature_distance import BETAS
 from hybrid_jax.skills.mapping import MAPS
-from hybrid_jax.types import pytree
+from hybrid_jax.types import Record, pytree
 
 MAX_SKILLS = 32
-"""Skills that a library may hold (`h_max`)."""
+"""Largest number of skills in a library (`h_max`)."""
 
 
 @dataclass(frozen=True)
 class SkillConfig:
-    """How skills are judged and mapped."""
+    """Settings by which skills are chosen and mapped."""
 
     map: str = "late_exact"
-    """Map to new ends, a key of `mapping.MAPS`."""
+    """Map to a new start and goal, a key of `mapping.MAPS`."""
     distance: str = "screw"
-    """Distance of features, a key of `mapping.BETAS`."""
+    """Distance of features, a key of `feature_distance.BETAS`."""
     tolerance: float = 0.30
     """`Delta_beta`: a skill further away than this never moves the robot [m]."""
 
     def __post_init__(self):
-        for kind, name, known in (("map", self.map, MAPS), ("distance", self.distance, BETAS)):
-            if name not in known:
-                raise UnknownNameError(f"skill {kind}", name, known)
+        for kind, name, options in (("map", self.map, MAPS), ("distance", self.distance, BETAS)):
+            if name not in options:
+                raise UnknownNameError(f"skill {kind}", name, options)
         if not self.tolerance > 0:
             raise InputError(f"tolerance must be positive, got {self.tolerance}")
 
 
 @pytree
-class SkillLibrary:
-    """Cleaned demonstrations, padded to `MAX_SKILLS`."""
+class SkillLibrary(Record):
+    """Filtered demonstrations, padded to `MAX_SKILLS`."""
 
     poses: Array
-    """`[skill, point, 8]`."""
+    """`[skill, point, 8]` unit dual quaternions, evenly spaced by arc length."""
     valid: Array
     """`[skill]` True for a slot that holds a skill."""
     closed: Array
     """`[skill]` True where the gripper holds an object."""
     names: tuple[str, ...] = struct.field(pytree_node=False)
-    """`[skill]` names of the skills in use."""
+    """`[skill]` names of the skills, without the padding."""
 
 
 def build_library(demos: list[Demonstration]) -> SkillLibrary:
-    """Clean demonstrations and stack them; where the gripper acts, one skill ends.
+    """Filter demonstrations and stack them; where the gripper acts, one skill ends.
 
     Args:
-        demos: recordings with poses `[sample, 7]` [m, quaternion].
+        demos: recordings with poses `[sample, 7]`: position [m], quaternion.
 
     Returns:
-        Skills of equally spaced poses `[skill, point, 8]`.
+        Skills of evenly spaced poses `[skill, point, 8]`, padded to `MAX_SKILLS`.
 
     Raises:
         DemonstrationError: no demonstration, or more than `MAX_SKILLS` skills in them.
@@ -70,18 +70,19 @@ def build_library(demos: list[Demonstration]) -> SkillLibrary:
     if not 0 < len(demos) <= MAX_SKILLS:
         raise DemonstrationError(f"a library holds 1 to {MAX_SKILLS} skills, got {len(demos)}")
     poses = np.stack([clean(d) for d in demos])
-    empty = MAX_SKILLS - len(demos)
-    filler = np.broadcast_to(np.array(dq.IDENTITY, np.float32), (empty, *poses.shape[1:]))
+    free_slots = MAX_SKILLS - len(demos)
+    filler = np.broadcast_to(np.array(dq.IDENTITY, np.float32), (free_slots, *poses.shape[1:]))
     return SkillLibrary(
         poses=jnp.asarray(np.concatenate([poses, filler]), jnp.float32),
         valid=jnp.arange(MAX_SKILLS) < len(demos),
-        closed=jnp.array([d.closed for d in demos] + [False] * empty),
+        closed=jnp.array([d.closed for d in demos] + [False] * free_slots),
         names=tuple(d.name for d in demos),
     )
 
 
 def without(library: SkillLibrary, names: set[str]) -> SkillLibrary:
-    """The library with some skills taken out."""
+    """The library without the skills of some names; their slots become invalid."""
+    # the names keep their places: the number of a skill is its slot
     keep = jnp.array(
         [i >= len(library.names) or library.names[i] not in names for i in range(MAX_SKILLS)]
     )

@@ -6,46 +6,70 @@ from dataclasses import asdict
 
 import numpy as np
 
-from hybrid_jax import seeds
-from hybrid_jax.planner.ablations import ABLATIONS
-from hybrid_jax.runfolder import Run
-from hybrid_jax.simulation.runs import SortingReport, sort_scenes
-from hybrid_jax.studies.contestants import Contestant, carry_out
-from hybrid_jax.studies.handlingpictures import draw_study
+from hybrid_jax.baselines.ablations import ABLATIONS
+from hybrid_jax.execution.batches import SortingReport, sort_scenes
+from hybrid_jax.runs import seeds
+from hybrid_jax.runs.run_folder import Run
+from hybrid_jax.studies.handling_pictures import draw_study
 from hybrid_jax.studies.measures import Metrics, rate
+from hybrid_jax.studies.methods import Method, carry_out
 from hybrid_jax.types import Workcell
 
 SEEDS = seeds.HANDLING_STUDY
-"""Of its scenes."""
+"""Seeds of the study's scenes."""
 METHODS = (
-    "hybrid", "lfd", "lfd_executed", "drl", "ompl", "disturbed", "paper",
+    "hybrid",
+    "lfd",
+    "lfd_executed",
+    "drl",
+    "ompl",
+    "disturbed",
+    "paper",
     *(f"ablation_{name}" for name in ABLATIONS),
-)  # fmt: skip
-"""Methods that are compared if none is named."""
+)
+"""Methods that are compared by default."""
 
 
-def run_contestant(
-    cell: Workcell, one: Contestant, numbers: Sequence[int], quiet: bool = False
+def run_method(
+    cell: Workcell, one: Method, numbers: Sequence[int], quiet: bool = False
 ) -> tuple[list[SortingReport], float]:
-    """All runs of one method, and the time that they took [s], compilation included."""
+    """Carry out all runs of one method.
+
+    Args:
+        cell: with handling data.
+        one: the method.
+        numbers: seeds of the scenes.
+        quiet: show no progress.
+
+    Returns:
+        One report a run, with frames `[frame, nq]`, and the time of all [s], compilation included.
+    """
     return carry_out(
-        one, "runs", len(numbers), numbers[0],
+        one,
+        "runs",
+        len(numbers),
+        numbers[0],
         lambda plan, progress: sort_scenes(
-            cell, plan, numbers, disturbance=one.disturbance, config=one.execution,
+            cell,
+            plan,
+            numbers,
+            disturbance=one.disturbance,
+            config=one.execution,
             progress=progress,
         ),
         quiet,
-    )  # fmt: skip
+    )
 
 
 def drawn(cell: Workcell, first: int, runs: int) -> range:
-    """Seeds of all scenes of so many runs."""
+    """Seeds of all scenes of `runs` runs, from `first` on."""
     del cell
     return range(first, first + runs)
 
 
 def row_of(method: str, report: SortingReport) -> dict:
-    """One run as a row of the study's file."""
+    """One run as a row of the study's file: plain values that JSON can hold."""
+    # where every object succeeded, only a contact that belongs to none can fail the run
     causes = [r.cause for r in report.reports if not r.success]
     return {
         "method": method,
@@ -64,32 +88,35 @@ def summarize(rows: list[dict], seconds: dict[str, float]) -> list[dict]:
 
     Args:
         rows: see `row_of`.
-        seconds: of each method's runs.
+        seconds: time of each method's runs [s].
+
+    Returns:
+        Rows of `measures.Metrics`.
     """
     metrics = Metrics("handling")
     for method, took in seconds.items():
-        own = [row for row in rows if row["method"] == method]
-        objects = [item for row in own for item in row["objects"]]
-        won, causes = [row["success"] for row in own], [row["cause"] for row in own]
-        metrics.add(f"{method}_success", *rate(won, causes))
+        runs = [row for row in rows if row["method"] == method]
+        objects = [item for row in runs for item in row["objects"]]
+        successes, causes = [row["success"] for row in runs], [row["cause"] for row in runs]
+        metrics.add(f"{method}_success", *rate(successes, causes))
         metrics.add(f"{method}_object_success", *rate([item["success"] for item in objects]))
         metrics.add(f"{method}_object_placed", *rate([item["placed"] for item in objects]))
         first = [_first_try(item) for item in objects]
-        at_once = [row["success"] and all(_first_try(i) for i in row["objects"]) for row in own]
+        at_once = [row["success"] and all(_first_try(i) for i in row["objects"]) for row in runs]
         metrics.add(f"{method}_first_try", *rate(at_once))
         metrics.add(f"{method}_object_first_try", *rate(first))
         _add_plans(metrics, method, objects)
-        done = [row["cycle_s"] for row in own if row["success"]]
-        if done:
-            middle = float(np.median(done))
-            metrics.add(f"{method}_cycle_time", middle, "s", "lower", "median of successful runs")
-        asked = max(1, sum(item["asked"] for item in objects))
-        each = sum(row["planning_s"] for row in own) / asked
-        text = f"mean of {asked} plans that were asked for, with compiling"
-        metrics.add(f"{method}_planning_time", each, "s", "lower", text)
+        cycle_times = [row["cycle_s"] for row in runs if row["success"]]
+        if cycle_times:
+            median = float(np.median(cycle_times))
+            metrics.add(f"{method}_cycle_time", median, "s", "lower", "median of successful runs")
+        plan_count = max(1, sum(item["asked"] for item in objects))
+        mean_time = sum(row["planning_s"] for row in runs) / plan_count
+        text = f"mean of {plan_count} plans that were asked for, with compiling"
+        metrics.add(f"{method}_planning_time", mean_time, "s", "lower", text)
         if method == "hybrid":
-            text = f"{len(own)} runs took {took:.0f} s, compilation included"
-            metrics.add("seconds_100", took * 100 / len(own), "s", "lower", text)
+            text = f"{len(runs)} runs took {took:.0f} s, compilation included"
+            metrics.add("seconds_100", took * 100 / len(runs), "s", "lower", text)
     return metrics.rows
 
 
@@ -99,46 +126,48 @@ def _first_try(item: dict) -> bool:
 
 
 def _add_plans(metrics: Metrics, method: str, objects: list[dict]) -> None:
-    """How long the plans of placed objects are, and what they come from."""
+    """Add the length of the objects' last plans, and the shares of their sources."""
     planned = [item for item in objects if item["tries"] and item["motion_s"] > 0]
     if not planned:
         return
     note = f"mean of the last plan of {len(planned)} objects"
-    way, motion = (float(np.mean([i[key] for i in planned])) for key in ("way_rad", "motion_s"))
-    metrics.add(f"{method}_way", way, "rad", "lower", note)
-    metrics.add(f"{method}_motion", motion, "s", "lower", note)
+    path_length, duration = (
+        float(np.mean([i[key] for i in planned])) for key in ("way_rad", "motion_s")
+    )
+    metrics.add(f"{method}_way", path_length, "rad", "lower", note)
+    metrics.add(f"{method}_motion", duration, "s", "lower", note)
     for source in planned[0]["shares"]:
         share = float(np.mean([item["shares"].get(source, 0.0) for item in planned]))
         metrics.add(f"{method}_share_{source.lower()}", share, "1", "", note)
 
 
 def learning(run: Run) -> list[dict]:
-    """Metrics of the trainings: none."""
+    """Metrics of the trainings; this study has none."""
     del run
     return []
 
 
 def succeeded(report: SortingReport) -> bool:
-    """Is everything where it belongs?"""
+    """Is every object in its tray, and nothing else touched?"""
     return report.success
 
 
 def frames_of(report: SortingReport) -> tuple[str, np.ndarray]:
-    """Name of a run, and its motion `[frame, nq]`."""
+    """Name of a run, and MuJoCo's `qpos` `[frame, nq]` after each tick."""
     return str(report.seed), report.frames
 
 
 def draw(path, rows: list[dict], run: Run) -> None:
-    """The chart of the study."""
+    """Draw the chart of the study into a file."""
     del run
     draw_study(path, rows)
 
 
 def title(report: SortingReport) -> str:
-    """What became of a run, in few words."""
+    """Outcome of a run in few words."""
     return f"{sum(r.success for r in report.reports)} of {len(report.reports)} placed"
 
 
 def lines(report: SortingReport) -> list[str]:
-    """What became of each object."""
+    """Outcome of each object, one line each."""
     return [f"{r.name}: {r.cause or 'placed'} {r.detail}".rstrip() for r in report.reports]

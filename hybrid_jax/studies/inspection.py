@@ -5,22 +5,23 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hybrid_jax import seeds
 from hybrid_jax.errors import InputError
-from hybrid_jax.runfolder import Run
-from hybrid_jax.simulation.inspecting import EXACT, InspectionReport, Trial, inspect_parts
-from hybrid_jax.skills.inspection import require_inspection
-from hybrid_jax.studies.contestants import Contestant, carry_out
-from hybrid_jax.studies.inspectionpictures import draw_study
+from hybrid_jax.execution.inspection import EXACT, InspectionReport, Trial, inspect_parts
+from hybrid_jax.runs import seeds
+from hybrid_jax.runs.run_folder import Run
+from hybrid_jax.studies.inspection_pictures import draw_study
 from hybrid_jax.studies.measures import Metrics, rate, steady_from
+from hybrid_jax.studies.methods import Method, carry_out
+from hybrid_jax.tasks.inspection import require_inspection
 from hybrid_jax.types import Workcell
 
 SEEDS = seeds.INSPECTION_STUDY
-"""Of its scenes."""
+"""Seeds of the study's trials."""
 METHODS = ("hybrid", "drl")
-"""Methods that are compared if none is named."""
+"""Methods that are compared by default."""
 STEADY, MEAN_OF = 0.05, 5
-"""An agent is steady where the mean of so many updates stays within this share of where it ends."""
+"""Criterion of a steady agent: the moving mean over `MEAN_OF` updates stays within the share
+`STEADY` of its final value."""
 LEVELS = {
     "5cm_5deg": (0.05, np.radians(5.0)),
     "1cm_2deg": (0.01, np.radians(2.0)),
@@ -29,12 +30,19 @@ LEVELS = {
 """Tolerances of every key pose: position [m], each Euler angle [rad]. The first is the paper's."""
 
 
-def run_contestant(
-    cell: Workcell, one: Contestant, numbers: Sequence[int], quiet: bool = False
+def run_method(
+    cell: Workcell, one: Method, numbers: Sequence[int], quiet: bool = False
 ) -> tuple[list[InspectionReport], float]:
-    """A trial of every part for each number, and the time that they took [s], with compiling.
+    """Carry out a trial of every part for each number; every trial has its own seed.
 
-    Each has a seed of its own.
+    Args:
+        cell: with inspection data.
+        one: the method.
+        numbers: of the runs; see `drawn` for the seeds that follow from them.
+        quiet: show no progress.
+
+    Returns:
+        One report a trial, with frames `[frame, nq]`, and the time of all [s], with compilation.
     """
     parts = require_inspection(cell).parts
     trials = [
@@ -43,46 +51,54 @@ def run_contestant(
         for seed in numbers
     ]
     return carry_out(
-        one, "trials", len(trials), numbers[0],
+        one,
+        "trials",
+        len(trials),
+        numbers[0],
         lambda plan, progress: inspect_parts(
             cell, plan, trials, one.disturbance, progress=progress
         ),
         quiet,
-    )  # fmt: skip
+    )
 
 
 def _trial_seed(seed: int, part: int, parts: int) -> int:
-    """A seed for each trial of a run; those of the study stay in its range."""
+    """Seed of the trial of part number `part` of `parts`; those of the study stay in its range."""
+    # consecutive for all parts of a run, so no two trials share a seed
     first = SEEDS.start if seed >= SEEDS.start else 0
     return first + parts * (seed - first) + part
 
 
 def drawn(cell: Workcell, first: int, runs: int) -> range:
-    """Seeds of all trials of so many runs of each part.
+    """Seeds of all trials of `runs` runs of each part, from `first` on.
 
     Raises:
         InputError: they would leave the study's range.
     """
     parts = len(require_inspection(cell).parts)
     start = _trial_seed(first, 0, parts)
-    found = range(start, start + runs * parts)
-    if first >= SEEDS.start and found.stop > SEEDS.stop:
+    span = range(start, start + runs * parts)
+    if first >= SEEDS.start and span.stop > SEEDS.stop:
         raise InputError(
-            f"{runs} runs from seed {first} on draw seeds {found.start} to {found.stop - 1} for "
+            f"{runs} runs from seed {first} on draw seeds {span.start} to {span.stop - 1} for "
             f"{parts} parts; those of the study end at {SEEDS.stop - 1}: ask for fewer runs"
         )
-    return found
+    return span
 
 
 def row_of(method: str, report: InspectionReport) -> dict:
-    """One trial as a row of the study's file."""
+    """One trial as a row of the study's file: plain values that JSON can hold."""
     angles, gaps = np.degrees(report.brush_angles), 1e3 * report.stand_offs
-    stroke = {
-        "brush_angle_rms_deg": float(np.sqrt(np.mean(angles**2))),
-        "brush_angle_max_deg": float(angles.max()),
-        "stand_off_rms_mm": float(np.sqrt(np.mean(gaps**2))),
-        "stand_off_max_mm": float(np.abs(gaps).max()),
-    } if angles.size else {}  # fmt: skip
+    stroke = (
+        {
+            "brush_angle_rms_deg": float(np.sqrt(np.mean(angles**2))),
+            "brush_angle_max_deg": float(angles.max()),
+            "stand_off_rms_mm": float(np.sqrt(np.mean(gaps**2))),
+            "stand_off_max_mm": float(np.abs(gaps).max()),
+        }
+        if angles.size
+        else {}
+    )
     return {
         "method": method,
         "part": report.trial.part,
@@ -105,42 +121,51 @@ def summarize(rows: list[dict], seconds: dict[str, float]) -> list[dict]:
 
     Args:
         rows: see `row_of`.
-        seconds: of each method's trials.
+        seconds: time of each method's trials [s].
+
+    Returns:
+        Rows of `measures.Metrics`.
     """
     metrics = Metrics("inspection")
     for method, took in seconds.items():
-        own = [row for row in rows if row["method"] == method]
+        trials = [row for row in rows if row["method"] == method]
         name = "" if method == "hybrid" else f"{method}_"
-        causes = [row["cause"] or "inexact" for row in own]
+        causes = [row["cause"] or "inexact" for row in trials]
         for level in LEVELS:
-            won = [row["success"][level] for row in own]
-            metrics.add(f"{name}success_{level}", *rate(won, causes))
-        _add_strokes(metrics, name, own)
-        touched = sum(bool(row["touches"]) for row in own)
-        metrics.add(f"{name}collisions", touched, "1", "lower", f"of {len(own)} trials")
-        each = sum(row["planning_s"] for row in own) / len(own)
-        metrics.add(f"{name}planning_time", each, "s", "lower", "mean of a plan, with compiling")
-        text = f"{len(own)} trials took {took:.0f} s, compilation included"
-        metrics.add(f"{name}seconds_100", took * 100 / len(own), "s", "lower", text)
+            successes = [row["success"][level] for row in trials]
+            metrics.add(f"{name}success_{level}", *rate(successes, causes))
+        _add_strokes(metrics, name, trials)
+        touched = sum(bool(row["touches"]) for row in trials)
+        metrics.add(f"{name}collisions", touched, "1", "lower", f"of {len(trials)} trials")
+        seconds_each = sum(row["planning_s"] for row in trials) / len(trials)
+        metrics.add(
+            f"{name}planning_time", seconds_each, "s", "lower", "mean of a plan, with compiling"
+        )
+        text = f"{len(trials)} trials took {took:.0f} s, compilation included"
+        metrics.add(f"{name}seconds_100", took * 100 / len(trials), "s", "lower", text)
     return metrics.rows
 
 
 def _add_strokes(metrics: Metrics, name: str, own: list[dict]) -> None:
-    done = [row for row in own if "brush_angle_rms_deg" in row]
-    if not done:
+    brushed = [row for row in own if "brush_angle_rms_deg" in row]
+    if not brushed:
         return
     for key, unit in (("brush_angle", "deg"), ("stand_off", "mm")):
-        each = np.array([row[f"{key}_rms_{unit}"] for row in done])
-        worst = max(row[f"{key}_max_{unit}"] for row in done)
-        note = f"{len(done)} strokes; worst stroke {each.max():.2f}, worst point {worst:.2f}"
-        metrics.add(f"{name}{key}_rms", _rms(each), unit, "lower", note)
-        parts = {part: _rms([row[f"{key}_rms_{unit}"] for row in done if row["part"] == part])
-                 for part in sorted({row["part"] for row in done})}  # fmt: skip
+        rms_values = np.array([row[f"{key}_rms_{unit}"] for row in brushed])
+        worst = max(row[f"{key}_max_{unit}"] for row in brushed)
+        note = (
+            f"{len(brushed)} strokes; worst stroke {rms_values.max():.2f}, worst point {worst:.2f}"
+        )
+        metrics.add(f"{name}{key}_rms", _rms(rms_values), unit, "lower", note)
+        parts = {
+            part: _rms([row[f"{key}_rms_{unit}"] for row in brushed if row["part"] == part])
+            for part in sorted({row["part"] for row in brushed})
+        }
         for which, pick in (("best", min), ("worst", max)):
             part = pick(parts, key=parts.__getitem__)
             note = f"RMS of the strokes of {part}; {which} of {len(parts)} parts"
             metrics.add(f"{name}{key}_{which}_part", parts[part], unit, "lower", note)
-    cycle = float(np.median([row["cycle_s"] for row in done]))
+    cycle = float(np.median([row["cycle_s"] for row in brushed]))
     metrics.add(f"{name}cycle_time", cycle, "s", "lower", "median of trials that were carried out")
 
 
@@ -149,7 +174,7 @@ def _rms(values) -> float:
 
 
 def learning(run: Run) -> list[dict]:
-    """What the trainings came to: the map, and after how many episodes each agent was steady."""
+    """Metrics of the trainings: the map, and after how many episodes each agent was steady."""
     metrics = Metrics("inspection")
     for row in run.metrics("map")[-1:]:
         note = f"of {row['step']:,} tool poses of the map"
@@ -163,39 +188,48 @@ def learning(run: Run) -> list[dict]:
         rows = [row for row in run.metrics(stage) if column in row]
         if not rows:
             continue
-        own = "episodes" in rows[0]
-        at = np.cumsum([row["episodes"] for row in rows]) if own else [row["step"] for row in rows]
+        has_episodes = "episodes" in rows[0]
+        episodes = (
+            np.cumsum([row["episodes"] for row in rows])
+            if has_episodes
+            else [row["step"] for row in rows]
+        )
         values = np.convolve([row[column] for row in rows], np.full(MEAN_OF, 1 / MEAN_OF), "valid")
-        steady = steady_from(at[MEAN_OF - 1 :], values, STEADY)
-        note = f"{text} stays within {STEADY:.0%} of where it ends, of {at[-1]:,.0f} episodes"
+        # a moving mean belongs to the last update of its window
+        steady = steady_from(episodes[MEAN_OF - 1 :], values, STEADY)
+        note = f"{text} stays within {STEADY:.0%} of where it ends, of {episodes[-1]:,.0f} episodes"
         metrics.add(f"{name}_steady_episodes", steady, "1", "lower", note)
-        ends = [row["success"] for row in rows if "success" in row][-MEAN_OF:]
-        if ends:
-            note = f"share of the training episodes that end well, last {len(ends)} updates"
-            metrics.add(f"{name}_training_success", float(np.mean(ends)), "1", "higher", note)
+        last_successes = [row["success"] for row in rows if "success" in row][-MEAN_OF:]
+        if last_successes:
+            note = (
+                f"share of the training episodes that end well, last {len(last_successes)} updates"
+            )
+            metrics.add(
+                f"{name}_training_success", float(np.mean(last_successes)), "1", "higher", note
+            )
     return metrics.rows
 
 
 def succeeded(report: InspectionReport) -> bool:
-    """Was everything met as exactly as the study asks for at most?"""
+    """Was every key pose met within the study's strictest tolerance, without a contact?"""
     return report.succeeded(*EXACT)
 
 
 def frames_of(report: InspectionReport) -> tuple[str, np.ndarray]:
-    """Name of a trial, and its motion `[frame, nq]`."""
+    """Name of a trial, and MuJoCo's `qpos` `[frame, nq]` after each tick."""
     return f"{report.trial.part}-{report.trial.seed}", report.frames
 
 
 def draw(path, rows: list[dict], run: Run) -> None:
-    """The charts of the study."""
+    """Draw the charts of the study into a file."""
     draw_study(path, rows, run)
 
 
 def title(report: InspectionReport) -> str:
-    """What became of a trial, in few words."""
+    """Outcome of a trial in few words."""
     return report.cause or "brushed"
 
 
 def lines(report: InspectionReport) -> list[str]:
-    """What became of a trial."""
+    """Outcome of a trial, as one line."""
     return [f"{report.trial.part}: {report.cause or 'brushed'} {report.detail}".rstrip()]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a study has done so far, kept on disk: one that was killed goes on with what it lacks."""
+"""Journal of a study on disk, so that a study that was killed can be continued."""
 
 import fcntl
 import json
@@ -10,17 +10,17 @@ from hybrid_jax.errors import RunFolderError
 
 
 class Journal:
-    """Lines of JSON beside the study's file; one process at a time has it."""
+    """Lines of JSON beside the study's file; only one process at a time can open it."""
 
     def __init__(self, path: Path, about: dict):
-        """Open, or begin.
+        """Open a journal, or begin one.
 
         Args:
             path: of the file.
-            about: what the study is of; one about something else is not gone on with.
+            about: JSON values that identify the study; only the same study is continued.
 
         Raises:
-            RunFolderError: another process has it, or it is of another study.
+            RunFolderError: another process has it open, or it is of another study.
         """
         path.parent.mkdir(parents=True, exist_ok=True)
         self.path, self._file = path, path.open("a+")
@@ -48,44 +48,44 @@ class Journal:
             self._write({"about": about})
 
     def missing(self, method: str, numbers: Sequence[int]) -> list[int]:
-        """Runs of a method that are not there yet."""
-        done = {n for e in self._entries if e["method"] == method for n in e["numbers"]}
-        return [number for number in numbers if number not in done]
+        """Those of the given runs of a method that are not in the journal yet."""
+        recorded = {n for e in self._entries if e["method"] == method for n in e["numbers"]}
+        return [number for number in numbers if number not in recorded]
 
     def add(self, method: str, numbers: Sequence[int], rows: list[dict], seconds: float) -> None:
-        """Keep what some runs of a method came to, and the time that they took [s]."""
+        """Add the results of some runs of a method, and their time [s]."""
         entry = {"method": method, "numbers": list(numbers), "rows": rows, "seconds": seconds}
         self._entries.append(entry)
         self._write(entry)
 
     @property
     def rows(self) -> list[dict]:
-        """All runs, in the order in which they were made."""
+        """Results of all runs, in the order in which they were added."""
         return [row for entry in self._entries for row in entry["rows"]]
 
     @property
     def seconds(self) -> dict[str, float]:
-        """Time of each method's runs [s]."""
-        found: dict[str, float] = {}
+        """Total time of each method's runs [s]."""
+        totals: dict[str, float] = {}
         for entry in self._entries:
-            found[entry["method"]] = found.get(entry["method"], 0.0) + entry["seconds"]
-        return found
+            totals[entry["method"]] = totals.get(entry["method"], 0.0) + entry["seconds"]
+        return totals
 
     def _write(self, entry: dict) -> None:
         self._file.write(json.dumps(entry) + "\n")
         self._file.flush()
 
     def close(self, finished: bool) -> None:
-        """Let others have it; a study that is finished leaves none."""
+        """Release the journal for other processes; that of a finished study is deleted."""
         if finished:
             self.path.unlink(missing_ok=True)
         self._file.close()
 
 
 def _line(text: str) -> dict | None:
-    """One entry; None for a line that a kill tore."""
+    """One entry; None for a line that is incomplete because the process was killed."""
     try:
-        found = json.loads(text) if text.endswith("\n") else None
+        entry = json.loads(text) if text.endswith("\n") else None
     except ValueError:
         return None
-    return found if isinstance(found, dict) else None
+    return entry if isinstance(entry, dict) else None

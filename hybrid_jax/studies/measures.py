@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Metrics of a study: rates with their intervals, and what they are printed as."""
+"""Metrics of a study: rates with their intervals, steadiness of curves, and a printed table."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -17,15 +17,37 @@ class Metrics:
         self.device = jax.devices()[0].device_kind
 
     def add(self, name: str, value: float, unit: str, better: str, note: str) -> None:
-        """One more: what it measures, in which unit, which way is better, what is behind it."""
+        """Add a metric.
+
+        Args:
+            name: without the prefix.
+            value: in `unit`.
+            unit: 1 for a share or a number.
+            better: `higher`, `lower`, or empty.
+            note: a sentence about the data behind it.
+        """
         self.rows.append(
-            {"key": f"{self.prefix}.{name}", "value": value, "unit": unit, "better": better,
-             "device": self.device, "note": note}
-        )  # fmt: skip
+            {
+                "key": f"{self.prefix}.{name}",
+                "value": value,
+                "unit": unit,
+                "better": better,
+                "device": self.device,
+                "note": note,
+            }
+        )
 
 
 def rate(won: list[bool], causes: list[str] | None = None) -> tuple[float, str, str, str]:
-    """Share of successes with Wilson's interval and the causes of the others, for `Metrics.add`."""
+    """Share of successes with Wilson's interval and the causes of failure.
+
+    Args:
+        won: success of each run.
+        causes: of each run; those of successes do not count.
+
+    Returns:
+        Value, unit, better direction and note, as `Metrics.add` takes them.
+    """
     wins, count = sum(won), len(won)
     interval = binomtest(wins, count).proportion_ci(method="wilson")
     note = f"{wins} of {count}, 95 % from {interval.low:.3f} to {interval.high:.3f}"
@@ -36,21 +58,21 @@ def rate(won: list[bool], causes: list[str] | None = None) -> tuple[float, str, 
 
 
 def steady_from(at: Sequence[float], values: Sequence[float], tolerance: float) -> float:
-    """Where a curve becomes steady: from there on it stays within a tolerance of where it ends.
+    """Step from which on a curve stays within a tolerance of its final value.
 
     Args:
-        at: steps or episodes.
-        values: at these; where it ends is the mean of the last tenth.
-        tolerance: share of that mean.
+        at: `[point]` steps or episodes.
+        values: `[point]` of the curve; its final value is the mean of the last tenth.
+        tolerance: share of the final value.
     """
     curve = np.asarray(values, float)
-    last = curve[-max(1, len(curve) // 10) :].mean()
-    away = np.flatnonzero(np.abs(curve - last) > tolerance * abs(last))
-    return float(at[min(away[-1] + 1, len(curve) - 1)]) if away.size else float(at[0])
+    final = curve[-max(1, len(curve) // 10) :].mean()
+    outside = np.flatnonzero(np.abs(curve - final) > tolerance * abs(final))
+    return float(at[min(outside[-1] + 1, len(curve) - 1)]) if outside.size else float(at[0])
 
 
 def as_table(metrics: list[dict]) -> str:
-    """Metrics as aligned lines."""
+    """Metrics as aligned lines of text."""
     return "\n".join(
         f"{m['key']:34s} {m['value']:>10.4g} {m['unit']:3s} {m['note']}" for m in metrics
     )

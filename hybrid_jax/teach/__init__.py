@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Recording demonstrations by hand, in a browser page."""
+"""Recording of demonstrations by hand, in a browser page."""

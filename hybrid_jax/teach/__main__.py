@@ -4,7 +4,7 @@
 from pathlib import Path
 
 from hybrid_jax.errors import HybridJaxError
-from hybrid_jax.terminal import remark, run_main
+from hybrid_jax.runtime.terminal import remark, run_main
 
 
 def main(
@@ -28,18 +28,16 @@ def main(
         port: port to listen at.
     """
     try:
-        from hybrid_jax.teach.page import TeachPage  # noqa: PLC0415
-        from hybrid_jax.webpage import serve  # noqa: PLC0415
+        from hybrid_jax.teach.page import TeachPage
+        from hybrid_jax.web.page import serve
     except ImportError as error:
         raise HybridJaxError(
             f"the page needs the package {error.name}: pip install 'hybrid_jax[teach]'"
         ) from None
-    from hybrid_jax.workcell.assets import default_workcell  # noqa: PLC0415
-    from hybrid_jax.workcell.load import load_workcell  # noqa: PLC0415
+    from hybrid_jax.workcell.assets import default_workcell
+    from hybrid_jax.workcell.load import load_workcell
 
-    cell = load_workcell(
-        workcell or default_workcell(), tool=tool, package_paths=package_path
-    )
+    cell = load_workcell(workcell or default_workcell(), tool=tool, package_paths=package_path)
     page = TeachPage(cell, library, robot or cell.source.name, host, port)
     serve(page)
     remark(f"\ndemonstrations are in {library}")

@@ -1,27 +1,27 @@
 # SPDX-License-Identifier: MIT
-"""The page: a handle on the tool, buttons to record, replay and save, the skills so far."""
+"""The page: a handle on the tool, buttons to record, replay and save, the saved skills."""
 
 from pathlib import Path
 
 import numpy as np
 
-from hybrid_jax.skills.cleaning import continuous_signs, low_pass
-from hybrid_jax.skills.demonstration import (
+from hybrid_jax.demonstrations.demonstration import (
     PARTIAL,
     Demonstration,
     load_demonstration,
     save_demonstration,
 )
+from hybrid_jax.demonstrations.filtering import continuous_signs, low_pass
 from hybrid_jax.teach.recorder import RATE, Recorder
 from hybrid_jax.types import Workcell
-from hybrid_jax.webpage import WebPage
-from hybrid_jax.webscene import WebScene
+from hybrid_jax.web.page import WebPage
+from hybrid_jax.web.scene import WebScene
 
 _NONE = "(none yet)"
 
 
 class TeachPage(WebPage):
-    """Serves the page and moves the arm after the handle until it is closed."""
+    """The page on which the arm follows a handle; it is served until it is closed."""
 
     def __init__(
         self, cell: Workcell, library: Path, robot: str, host: str = "127.0.0.1", port: int = 8080
@@ -47,9 +47,13 @@ class TeachPage(WebPage):
     def _view(self) -> None:
         tool = self.recorder.tool
         self.handle = self.server.scene.add_transform_controls(
-            "/hand", scale=0.25, position=tool[:3], wxyz=tool[3:], line_width=4.0,
+            "/hand",
+            scale=0.25,
+            position=tool[:3],
+            wxyz=tool[3:],
+            line_width=4.0,
             depth_test=False,
-        )  # fmt: skip
+        )
         self.server.initial_camera.position = (1.1, -0.7, 0.9)
         self.server.initial_camera.look_at = tuple(tool[:3])
 
@@ -118,7 +122,7 @@ class TeachPage(WebPage):
         )
 
     def _hand(self) -> np.ndarray:
-        """`[7]` where the handle is; where the tool is, if that is no place."""
+        """Pose `[7]` of the handle; if it is no pose, the handle goes back to the tool."""
         hand = np.array([*self.handle.position, *self.handle.wxyz], float)
         if np.isfinite(hand).all() and np.linalg.norm(hand[3:]) > 0.5:
             return hand
@@ -127,11 +131,12 @@ class TeachPage(WebPage):
         return tool
 
     def tick(self) -> None:
-        """Show the next configuration of a replay, or the one that follows the handle."""
+        """Show the next configuration of a replay, or follow the handle for one period."""
+        # buttons act in other threads, under the same lock
         with self._lock:
             if self._replay:
-                shown = self._replay.pop(0)
+                qpos = self._replay.pop(0)
             else:
                 self.recorder.tick(self._hand())
-                shown = self.recorder.qpos
-            self._scene.show(shown)
+                qpos = self.recorder.qpos
+            self._scene.show(qpos)

@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: MIT
-"""The recording itself, without any page: an arm that follows a hand, and what it did."""
+"""The recorder, without a page: an arm that follows a hand, and samples of its motion."""
 
 import numpy as np
 
-from hybrid_jax.skills.demonstration import Demonstration
-from hybrid_jax.skills.following import Follower
+from hybrid_jax.demonstrations.demonstration import Demonstration
+from hybrid_jax.demonstrations.teleop import Follower
 from hybrid_jax.types import Workcell
-from hybrid_jax.workcell.geometry import pose_of
+from hybrid_jax.workcell.poses import pose_of
 
 RATE = 30.0
-"""Times that the arm follows the hand in a second."""
+"""Samples, and updates of the arm, per second."""
 
 
 class Recorder:
-    """Follows the hand; keeps pose and gripper while it records.
+    """Lets the arm follow the hand, and samples pose and gripper while it records.
 
     Time is the simulated arm's: one period for each call of `tick`, however long the page took.
     """
@@ -23,7 +23,7 @@ class Recorder:
 
         Args:
             cell: the work cell.
-            robot: kind of robot, as the recording is to say.
+            robot: kind of robot, as noted in the recording.
         """
         self.cell, self.robot = cell, robot
         self.closed = False
@@ -33,17 +33,17 @@ class Recorder:
 
     @property
     def samples(self) -> int:
-        """Samples of the present or last recording."""
+        """Number of samples of the present or last recording."""
         return len(self._rows)
 
     @property
     def tool(self) -> np.ndarray:
-        """`[7]` where the tool is."""
+        """Tool pose `[7]`: position [m], quaternion."""
         return self._follower.pose
 
     @property
     def qpos(self) -> np.ndarray:
-        """Configuration of the whole cell `[nq]`, fingers as the gripper is."""
+        """Configuration of the whole cell `[nq]`, the fingers open or closed as the gripper is."""
         qpos = np.array(self._follower.qpos)
         task, layout = self.cell.source.task, self.cell.source.layout
         if task is not None and layout.fingers:
@@ -52,13 +52,13 @@ class Recorder:
         return qpos
 
     def tick(self, hand: np.ndarray) -> None:
-        """Follow the hand `[7]` for one period, and keep a sample while recording."""
+        """Follow the hand's pose `[7]` for one period, and keep a sample while recording."""
         tool = self._follower.follow(pose_of(hand[:3], hand[3:]))
         if self.recording:
             self._rows.append((tool, float(self.closed), np.array(self.qpos)))
 
     def start(self) -> None:
-        """Record from now on; what was recorded before and not kept is gone."""
+        """Begin a recording; the last one is lost if it was not saved."""
         self._rows, self.recording = [], True
 
     def stop(self) -> None:
@@ -66,25 +66,38 @@ class Recorder:
         self.recording = False
 
     def demonstration(self, name: str, note: str = "") -> Demonstration:
-        """What was recorded, from the first to the last motion of tool or gripper."""
+        """The recording, from the first to the last motion of tool or gripper.
+
+        Args:
+            name: of the demonstration.
+            note: about it, for people.
+
+        Returns:
+            Times `[sample]` [s], poses `[sample, 7]` and gripper `[sample]` (1 closed); empty
+            where nothing was recorded.
+        """
         if not self._rows:
             return Demonstration(name, np.zeros(0), np.zeros((0, 7)), np.zeros(0))
         poses, gripper = (np.array(c) for c in list(zip(*self._rows, strict=True))[:2])
         low, high = _active(poses, gripper)
-        kept = slice(low, high + 1)
+        motion = slice(low, high + 1)
         times = np.arange(high + 1 - low) / RATE
         return Demonstration(
-            name, times, poses[kept], gripper[kept],
-            robot=self.robot, note=note,
-        )  # fmt: skip
+            name,
+            times,
+            poses[motion],
+            gripper[motion],
+            robot=self.robot,
+            note=note,
+        )
 
     def frames(self) -> list[np.ndarray]:
-        """Configuration `[nq]` of every sample, for a replay."""
+        """Configurations `[nq]` of the whole cell, one for each sample, for a replay."""
         return [row[2] for row in self._rows]
 
 
 def _active(poses: np.ndarray, gripper: np.ndarray) -> tuple[int, int]:
-    """First and last sample of the motion; a hand pauses before and after."""
+    """Indices of the motion's first and last sample; a hand pauses before and after it."""
     step = np.abs(np.diff(poses, axis=0)).max(axis=1) > 1e-5
     moving = np.flatnonzero(step | (np.diff(gripper) != 0))
     return (int(moving[0]), int(moving[-1]) + 1) if moving.size else (0, len(poses) - 1)

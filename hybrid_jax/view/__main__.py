@@ -4,7 +4,7 @@
 from pathlib import Path
 
 from hybrid_jax.errors import HybridJaxError
-from hybrid_jax.terminal import run_main
+from hybrid_jax.runtime.terminal import run_main
 
 
 def main(
@@ -22,13 +22,13 @@ def main(
         meshes: MJCF of the same arm with meshes (MuJoCo Menagerie has many), for the picture.
     """
     try:
-        from hybrid_jax.view.page import ViewPage  # noqa: PLC0415
-        from hybrid_jax.webpage import serve  # noqa: PLC0415
+        from hybrid_jax.view.page import ViewPage
+        from hybrid_jax.web.page import serve
     except ImportError as error:
         raise HybridJaxError(
             f"the page needs the package {error.name}: pip install 'hybrid_jax[view]'"
         ) from None
-    from hybrid_jax.runfolder import open_run  # noqa: PLC0415
+    from hybrid_jax.runs.run_folder import open_run
 
     page = ViewPage(open_run(run), host, port, meshes)
     serve(page)

@@ -5,7 +5,7 @@ import numpy as np
 import viser
 from viser import uplot
 
-from hybrid_jax.runfolder import Run
+from hybrid_jax.runs.run_folder import Run
 
 SHOWN = {
     "lfd": ("cost_over_optimum", "reward"),
@@ -16,7 +16,7 @@ SHOWN = {
 
 
 def curve_of(run: Run, stage: str, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Steps and values of one metric; empty where it was not logged."""
+    """Steps `[row]` and values `[row]` of one metric; empty where it was not logged."""
     rows = [(row["step"], row[name]) for row in run.metrics(stage) if name in row]
     steps, values = np.array(rows, float).reshape(-1, 2).T
     return steps, values
@@ -26,7 +26,7 @@ def add_curves(server: viser.ViserServer, run: Run) -> int:
     """Add a chart for each metric that was logged.
 
     Returns:
-        How many charts there are.
+        Number of charts.
     """
     count = 0
     for stage, names in SHOWN.items():
@@ -38,8 +38,9 @@ def add_curves(server: viser.ViserServer, run: Run) -> int:
                     (steps, values),
                     (uplot.Series(label="step"), uplot.Series(label=label, stroke="#1478dc")),
                     scales={"x": uplot.Scale(time=False)},
-                    title=f"{stage}: {label}", aspect=1.8,
-                )  # fmt: skip
+                    title=f"{stage}: {label}",
+                    aspect=1.8,
+                )
                 count += 1
     if not count:
         server.gui.add_markdown("This run has no learning curves yet.")

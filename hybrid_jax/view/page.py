@@ -8,23 +8,23 @@ from pathlib import Path
 import jax
 import numpy as np
 
+from hybrid_jax.demonstrations.demonstration import load_demonstrations
+from hybrid_jax.demonstrations.filtering import clean
 from hybrid_jax.feasibility.building import load_map
-from hybrid_jax.planner.loading import load_planner
 from hybrid_jax.planner.pipeline import plan_motion
 from hybrid_jax.planner.records import Planner
-from hybrid_jax.runfolder import Run
-from hybrid_jax.skills.cleaning import clean
-from hybrid_jax.skills.demonstration import load_demonstrations
-from hybrid_jax.skills.task import Task, as_rows
+from hybrid_jax.runs.load_planner import load_planner
+from hybrid_jax.runs.run_folder import Run
+from hybrid_jax.tasks.task import Task, as_rows
 from hybrid_jax.types import Status
 from hybrid_jax.view.curves import add_curves
-from hybrid_jax.view.mapcloud import MapCloud
+from hybrid_jax.view.map_cloud import MapCloud
 from hybrid_jax.view.motion import RATE, motion_of, resting_qpos
 from hybrid_jax.view.playback import Playback
-from hybrid_jax.view.robotlook import RobotLook, arm_bodies
-from hybrid_jax.view.taskpanel import INVITATION, TaskPanel
-from hybrid_jax.webpage import WebPage
-from hybrid_jax.webscene import WebScene
+from hybrid_jax.view.robot_look import RobotLook, arm_bodies
+from hybrid_jax.view.task_panel import INVITATION, TaskPanel
+from hybrid_jax.web.page import WebPage
+from hybrid_jax.web.scene import WebScene
 from hybrid_jax.workcell.assets import demonstrations_folder
 
 _NONE = "(none)"
@@ -33,7 +33,7 @@ TASKS = "tasks"
 
 
 class ViewPage(WebPage):
-    """Serves the page until it is closed."""
+    """The page of a run; it is served until it is closed."""
 
     def __init__(
         self, run: Run, host: str = "127.0.0.1", port: int = 8080, look: Path | None = None
@@ -41,7 +41,7 @@ class ViewPage(WebPage):
         """Open the page.
 
         Args:
-            run: to show; what its finished stages left is there.
+            run: to show, as far as its stages are finished.
             host: address to listen at; only this machine by default.
             port: the first one that is tried.
             look: MJCF whose meshes stand for the arm in the picture.
@@ -100,20 +100,20 @@ class ViewPage(WebPage):
         self._skill.on_update(lambda _: self._draw_skill())
 
     def show(self, qpos: np.ndarray) -> None:
-        """Draw a configuration `[nq]`."""
+        """Draw a configuration of the whole cell `[nq]`."""
         with self.server.atomic():
             self._scene.show(qpos)
             if self._look:
                 self._look.show(qpos)
 
     def _new_task(self, task: Task) -> None:
-        """Show where a new task begins; the last plan was of another."""
+        """Show the start of a new task, and drop the last plan, which was of another task."""
         if self.playback:
             self.playback.load(None)
         self.show(resting_qpos(self.run.cell, task.object_poses, task.start))
 
     def _press_plan(self) -> None:
-        """Plan, unless a plan is being made; other buttons work meanwhile."""
+        """Plan, unless a plan is being made already; other buttons work meanwhile."""
         if not self._planning.acquire(blocking=False):
             return
         try:
@@ -122,23 +122,24 @@ class ViewPage(WebPage):
             self._planning.release()
 
     def plan(self) -> str:
-        """Plan the present task and show the plan; a sentence about it."""
-        task, began = self.task.task, time.perf_counter()
-        self._planning_since = began
+        """Plan the present task and show the plan; returns a sentence about it."""
+        task, start_time = self.task.task, time.perf_counter()
+        self._planning_since = start_time
         try:
             self._planner = self._planner or load_planner(self.run)
             result = plan_motion(self._planner, task, key=jax.random.key(self.run.seed))
         finally:
             self._planning_since = None
+        # planning does not hold the page's lock, so key poses may be dragged meanwhile
         if task is not self.task.task:
             return "The task has changed meanwhile: plan again."
-        took = time.perf_counter() - began
+        elapsed = time.perf_counter() - start_time
         if result.status is not Status.OK:
             self.playback.load(None)
             return f"**{result.status.name}:** {result.detail}"
         self.playback.load(motion_of(self.run.cell, task, result))
         shares = ", ".join(f"{s.name} {x:.0%}" for s, x in result.shares.items() if x)
-        return f"**OK** after {took:.2f} s: {shares}"
+        return f"**OK** after {elapsed:.2f} s: {shares}"
 
     def _keep(self) -> str:
         return self.task.save(self.run.path(TASKS), str(self._name.value).strip())
@@ -149,9 +150,9 @@ class ViewPage(WebPage):
             self.server.scene.remove_by_name("/skill")
             self._about.content = f"{len(self._skills)} demonstrations."
             return
-        way = as_rows(clean(demo))[:, :3]
+        path = as_rows(clean(demo))[:, :3]
         self.server.scene.add_spline_catmull_rom(
-            "/skill", way[::4], color=(20, 160, 90), thickness=4.0, thickness_units="screen"
+            "/skill", path[::4], color=(20, 160, 90), thickness=4.0, thickness_units="screen"
         )
         grip = "closed" if demo.closed else "open"
         self._about.content = (
@@ -159,12 +160,12 @@ class ViewPage(WebPage):
         )
 
     def tick(self) -> None:
-        """Go on with the playback, and say how long a plan has been made for."""
+        """Advance the playback, and show for how long planning has been running."""
         since = self._planning_since
         if since is not None:
             seconds = int(time.perf_counter() - since)
-            told = f"Planning, {seconds} s (a first time also compiles, for a minute or two)"
-            if self.status.content != told:
-                self.status.content = told
+            text = f"Planning, {seconds} s (a first time also compiles, for a minute or two)"
+            if self.status.content != text:
+                self.status.content = text
         if self.playback:
             self.playback.tick()

@@ -15,15 +15,15 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from hybrid_jax.errors import WorkcellError
 
 CYLINDER_TOLERANCE = 1e-3
-"""How far the boxes of a cylinder may stand out of it [m], as far as `CYLINDER_BOXES` suffice."""
+"""How far the boxes of a cylinder may stand out of it [m], unless that takes too many boxes."""
 CYLINDER_BOXES = 12
-"""At most so many: they stand out by 0.9 % of the radius then."""
+"""Most boxes for one cylinder: they stand out by 0.9 % of the radius then."""
 MESH_PIECES = 16
-"""At most so many boxes for one convex mesh."""
+"""Most boxes for one convex mesh."""
 
 
 def cylinder_excess(radius: float, boxes: int) -> float:
-    """How far that many boxes stand out of a cylinder [m]."""
+    """How far a given number of boxes stand out of a cylinder [m], at the polygon's corners."""
     return radius * (1 / np.cos(np.pi / (2 * boxes)) - 1)
 
 
@@ -32,19 +32,32 @@ def cylinder(radius: float, half_length: float) -> list[tuple]:
 
     The polygon has two edges for each box: opposite edges bound one rectangle, and each triangle
     from the centre to an edge lies in the rectangle of that edge.
+
+    Args:
+        radius: of the cylinder [m].
+        half_length: along its axis z [m].
+
+    Returns:
+        (pose in the cylinder's frame, half extents `[3]` [m], radius 0 [m]) of each box.
     """
     boxes = 2
     while boxes < CYLINDER_BOXES and cylinder_excess(radius, boxes) > CYLINDER_TOLERANCE:
         boxes += 1
     half = (radius, radius * np.tan(np.pi / (2 * boxes)), half_length)
-    turns = [Rotation.from_euler("z", np.pi * k / boxes) for k in range(boxes)]
-    return [(RigidTransform.from_rotation(turn), half, 0.0) for turn in turns]
+    rotations = [Rotation.from_euler("z", np.pi * k / boxes) for k in range(boxes)]
+    return [(RigidTransform.from_rotation(rotation), half, 0.0) for rotation in rotations]
 
 
 def ellipsoid(half: np.ndarray) -> list[tuple]:
-    """The box that its shortest half axis, as a ball, sweeps into a solid around the ellipsoid.
+    """A box swept by a ball around an ellipsoid: the ball's radius is the shortest half axis.
 
-    Exact for a sphere, a capsule around a ball that is stretched along one axis.
+    Exact for a sphere. With one long half axis it is a capsule.
+
+    Args:
+        half: `[3]` half axes [m].
+
+    Returns:
+        One (pose in the ellipsoid's frame, half extents `[3]` [m], radius [m]).
     """
     radius = float(np.min(half))
     identity = RigidTransform.identity()
@@ -52,56 +65,71 @@ def ellipsoid(half: np.ndarray) -> list[tuple]:
 
 
 def ellipsoid_excess(half: np.ndarray, samples: int = 4000) -> float:
-    """How far that solid stands out of the ellipsoid, by samples of its surface [m]."""
+    """How far the solid of `ellipsoid` stands out of the ellipsoid [m].
+
+    Args:
+        half: `[3]` half axes [m].
+        samples: points of the solid's surface at which the distance is measured.
+    """
     radius, rng = float(np.min(half)), np.random.default_rng(0)
-    outwards = rng.normal(size=(samples, 3))
-    outwards /= np.linalg.norm(outwards, axis=1, keepdims=True)
-    corner = np.sign(outwards) * (np.asarray(half) - radius)
-    surface = corner + radius * outwards
-    # the point of an ellipsoid below a point outside: one multiplier, found by bisection
+    directions = rng.normal(size=(samples, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    corner = np.sign(directions) * (np.asarray(half) - radius)
+    surface = corner + radius * directions
+    # nearest point of the ellipsoid: squared * p / (squared + t) of a point p, t by bisection
     low, high = np.zeros(samples), np.full(samples, float(np.max(half)) ** 2 * 10)
     squared = np.asarray(half, float) ** 2
     for _ in range(60):
         middle = (low + high) / 2
-        inside = np.sum(squared * (surface / (squared + middle[:, None])) ** 2, axis=1) < 1
-        low, high = np.where(inside, low, middle), np.where(inside, middle, high)
-    below = squared * surface / (squared + low[:, None])
-    return float(np.linalg.norm(surface - below, axis=1).max())
+        foot_inside = np.sum(squared * (surface / (squared + middle[:, None])) ** 2, axis=1) < 1
+        low, high = np.where(foot_inside, low, middle), np.where(foot_inside, middle, high)
+    feet = squared * surface / (squared + low[:, None])
+    return float(np.linalg.norm(surface - feet, axis=1).max())
 
 
 def distance_to_hull(point: np.ndarray, vertices: np.ndarray) -> float:
-    """Distance of a point and the convex hull of some vertices [m]."""
-    weight = 1e3 * np.ptp(vertices)  # the weights of the vertices sum to one
+    """Distance of a point to the convex hull of some vertices [m].
+
+    Args:
+        point: `[3]` [m].
+        vertices: `[n, 3]` [m].
+    """
+    # non-negative least squares; the last row, of large weight, makes the weights sum to one
+    weight = 1e3 * np.ptp(vertices)
     system = np.vstack([vertices.T, np.full(len(vertices), weight)])
     weights, _ = nnls(system, np.append(point, weight), maxiter=100 * len(vertices))
     return float(np.linalg.norm(vertices.T @ weights - point))
 
 
 def _frames(hull: ConvexHull) -> list[np.ndarray]:
-    """Candidate axes for boxes around a hull: its principal axes, and those of its large faces."""
+    """Frames for boxes around a hull: the mesh's own, its principal axes, and its large faces."""
     points = hull.points[hull.vertices]
     frames = [np.eye(3), np.linalg.svd(points - points.mean(0), full_matrices=False)[2].T]
     corners = hull.points[hull.simplices]
     edges = corners[:, 1] - corners[:, 0]
     areas = np.linalg.norm(np.cross(edges, corners[:, 2] - corners[:, 0]), axis=1)
     for face in np.argsort(-areas)[:12]:
-        normal, along = hull.equations[face, :3], edges[face] / np.linalg.norm(edges[face])
-        frames.append(np.stack([along, np.cross(normal, along), normal], axis=1))
+        normal, tangent = hull.equations[face, :3], edges[face] / np.linalg.norm(edges[face])
+        frames.append(np.stack([tangent, np.cross(normal, tangent), normal], axis=1))
+    # a frame of determinant -1 is no rotation; with all axes reversed it is one
     return [f * np.sign(np.linalg.det(f)) for f in frames]
 
 
 def _slab(points: np.ndarray, hull: ConvexHull, axis: int, low: float, high: float) -> np.ndarray:
-    """Vertices of the part of a hull between two planes across an axis."""
-    inside = points[(points[:, axis] >= low) & (points[:, axis] <= high)]
-    found = [inside]
+    """Vertices `[n, 3]` of the part of a hull between two planes across an axis.
+
+    They are the hull's points between the planes, and the points where its edges cross a plane.
+    """
+    between = points[(points[:, axis] >= low) & (points[:, axis] <= high)]
+    vertices = [between]
     for a, b in itertools.combinations(range(3), 2):
         start, end = points[hull.simplices[:, a]], points[hull.simplices[:, b]]
         run = end[:, axis] - start[:, axis]
         for cut in (low, high):
             crossing = (start[:, axis] - cut) * (end[:, axis] - cut) < 0
             t = (cut - start[crossing, axis]) / run[crossing]
-            found.append(start[crossing] + t[:, None] * (end[crossing] - start[crossing]))
-    return np.concatenate(found)
+            vertices.append(start[crossing] + t[:, None] * (end[crossing] - start[crossing]))
+    return np.concatenate(vertices)
 
 
 def _boxes(points: np.ndarray, hull: ConvexHull, axis: int, count: int) -> list[np.ndarray]:
@@ -112,7 +140,7 @@ def _boxes(points: np.ndarray, hull: ConvexHull, axis: int, count: int) -> list[
 
 
 def _excess(bounds: np.ndarray, points: np.ndarray) -> float:
-    """Largest distance of a box and a hull: distance is convex, so a corner has it."""
+    """How far a box stands out of a hull [m]: distance is convex, so a corner is farthest."""
     corners = np.array(list(itertools.product(*bounds.T)))
     return max(distance_to_hull(c, points) for c in corners)
 
@@ -122,11 +150,14 @@ def convex_mesh(vertices: np.ndarray, tolerance: float, label: str) -> list[tupl
 
     Args:
         vertices: `[n, 3]` [m].
-        tolerance: how far they may stand out of the hull [m].
+        tolerance: how far the boxes may stand out of the hull [m].
         label: how to name the mesh in a message.
 
+    Returns:
+        (pose in the mesh's frame, half extents `[3]` [m], radius 0 [m]) of each box.
+
     Raises:
-        WorkcellError: the mesh is flat, or no more than `MESH_PIECES` boxes keep the tolerance.
+        WorkcellError: the mesh is flat, or even `MESH_PIECES` boxes exceed the tolerance.
     """
     try:
         hull = ConvexHull(vertices)
@@ -134,24 +165,27 @@ def convex_mesh(vertices: np.ndarray, tolerance: float, label: str) -> list[tupl
         raise WorkcellError(
             f"the mesh of geom {label} has no volume: give it a thickness"
         ) from None
-    outer = vertices[hull.vertices]
-    frames = sorted(_frames(hull), key=lambda f: np.prod(np.ptp(outer @ f, axis=0)))
-    best = np.inf
+    hull_points = vertices[hull.vertices]
+    frames = sorted(_frames(hull), key=lambda f: np.prod(np.ptp(hull_points @ f, axis=0)))
+    least_excess = np.inf
     for count in (1, 2, 3, 4, 6, 8, 12, MESH_PIECES):
         for frame, axis in itertools.product(frames[:3], range(1 if count == 1 else 3)):
-            turned = vertices @ frame
-            boxes = _boxes(turned, hull, axis, count)
-            excess = max(_excess(b, outer @ frame) for b in boxes)
-            best = min(best, excess)
+            rotated = vertices @ frame
+            boxes = _boxes(rotated, hull, axis, count)
+            excess = max(_excess(b, hull_points @ frame) for b in boxes)
+            least_excess = min(least_excess, excess)
             if excess <= tolerance:
                 rotation = Rotation.from_matrix(frame)
                 return [
-                    (RigidTransform.from_components(frame @ b.mean(0), rotation),
-                     tuple(np.ptp(b, axis=0) / 2), 0.0)
+                    (
+                        RigidTransform.from_components(frame @ b.mean(0), rotation),
+                        tuple(np.ptp(b, axis=0) / 2),
+                        0.0,
+                    )
                     for b in boxes
-                ]  # fmt: skip
+                ]
     raise WorkcellError(
-        f"the mesh of geom {label} stands {1e3 * best:.1f} mm within its {MESH_PIECES} best boxes "
-        f"({1e3 * tolerance:.1f} mm are allowed): replace it by primitives or convex pieces, or "
-        "allow more with mesh_tolerance"
+        f"the mesh of geom {label} stands {1e3 * least_excess:.1f} mm within its {MESH_PIECES} "
+        f"best boxes ({1e3 * tolerance:.1f} mm are allowed): replace it by primitives or convex "
+        "pieces, or allow more with mesh_tolerance"
     )

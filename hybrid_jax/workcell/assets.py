@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Where the robots and work cells that come with the package lie."""
+"""Folders and files of the robots and work cells that come with the package."""
 
 from pathlib import Path
 
@@ -12,25 +12,25 @@ _PACKAGE = Path(__file__).resolve().parent.parent
 
 def robots_folder() -> Path:
     """Folder of robots, cells and demonstrations: inside the wheel, or beside the package."""
-    inside = _PACKAGE / "_robots"
-    return inside if inside.is_dir() else _PACKAGE.parent / "robots"
+    bundled = _PACKAGE / "_robots"
+    return bundled if bundled.is_dir() else _PACKAGE.parent / "robots"
 
 
 def workcell_names() -> list[str]:
-    """Cells that can be loaded by name."""
+    """Names of the cells that can be loaded by name."""
     return sorted(path.stem for path in (robots_folder() / "workcells").glob("*.xml"))
 
 
 def default_workcell() -> str:
-    """Cell that commands take where none is named."""
+    """Name of the cell that commands take where none is named."""
     return (robots_folder() / "workcells" / "default.txt").read_text().strip()
 
 
 def find_workcell(name_or_path: str | Path) -> Path:
-    """File of a cell, from the name of a shipped cell or a path to a file.
+    """File of a cell from the name of a shipped cell or the path of a file.
 
     Raises:
-        UnknownNameError: neither; the message lists the names.
+        UnknownNameError: it is neither; the message lists the names.
         WorkcellError: a file of another kind.
     """
     path = Path(name_or_path)
@@ -51,5 +51,5 @@ def find_workcell(name_or_path: str | Path) -> Path:
 
 
 def demonstrations_folder() -> Path:
-    """Recorded demonstrations that come with the package, one file each."""
+    """Folder of the recorded demonstrations that come with the package, one file each."""
     return robots_folder() / "demonstrations"

@@ -13,14 +13,15 @@ from hybrid_jax.workcell.poses import as_row, matrix_pose, pose_of
 DEFAULT_VELOCITY = 1.0
 """Velocity limit of a joint whose `user` data states none [rad/s or m/s]: slow on purpose."""
 DEFAULT_ACCELERATION = 5.0
-"""The same for accelerations [rad/s^2 or m/s^2]."""
+"""Acceleration limit of a joint whose `user` data states none [rad/s^2 or m/s^2]."""
 UNLIMITED = -2 * np.pi, 2 * np.pi
-"""Range about home in which a hinge without limits is planned [rad]: a turn either way."""
+"""Range about home that a hinge without limits is given [rad]: one turn either way."""
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 
 
 def reference_data(model: mujoco.MjModel, layout: Layout) -> mujoco.MjData:
-    """Kinematics with the arm at its reference, the fingers closed, the rest at home."""
+    """Kinematics with the arm at its reference, the fingers closed, all else at home."""
+    # `MjData` starts at `qpos0`, not at home: joints that are not the arm's are set as well
     data = mujoco.MjData(model)
     data.qpos[:] = home_qpos(model)
     data.qpos[list(layout.qpos)] = model.qpos0[list(layout.qpos)]
@@ -30,7 +31,10 @@ def reference_data(model: mujoco.MjModel, layout: Layout) -> mujoco.MjData:
 
 
 def joint_frames(model, data, layout) -> list:
-    """World pose of each joint's frame in the reference configuration."""
+    """World pose of each arm joint's frame at the configuration of `data`.
+
+    The frame sits at the joint's anchor and has the axes of the joint's body.
+    """
     frames = []
     for j in layout.joints:
         body = model.jnt_bodyid[j]
@@ -40,49 +44,61 @@ def joint_frames(model, data, layout) -> list:
 
 
 def _limits(model, layout) -> np.ndarray:
-    rows, home = [], home_qpos(model)[list(layout.qpos)]
+    """`[joint, 2]` lower and upper limit of each arm joint [rad or m]."""
+    limits, home = [], home_qpos(model)[list(layout.qpos)]
     for name, j, zero in zip(layout.joint_names, layout.joints, home, strict=True):
         low, high = model.jnt_range[j]
         if low > high or model.jnt_limited[j] and low == high:
-            # MuJoCo takes a range that is turned round as none
+            # MuJoCo takes a range with the limits exchanged as no range
             raise WorkcellError(
                 f"joint {name!r} has the range {low:g} to {high:g}: the lower limit comes first"
             )
         if model.jnt_limited[j]:
-            rows.append((low, high))
+            limits.append((low, high))
         elif model.jnt_type[j] == _HINGE:
-            rows.append((zero + UNLIMITED[0], zero + UNLIMITED[1]))
+            limits.append((zero + UNLIMITED[0], zero + UNLIMITED[1]))
         else:
             raise WorkcellError(f"slide joint {name!r} has no range: add range='lower upper'")
-    return np.array(rows)
+    return np.array(limits)
 
 
 def _rates(model, layout, column: int, default: float) -> np.ndarray:
-    """What is stated, else the default.
+    """`[joint]` values of one column of the joints' `user` data, or the default where it is 0.
 
     Raises:
         WorkcellError: a limit that is no finite number.
     """
     if model.nuser_jnt <= column:
         return np.full(len(layout.joints), default)
-    stated = model.jnt_user[list(layout.joints), column]
-    for name, value in zip(layout.joint_names, stated, strict=True):
+    limits = model.jnt_user[list(layout.joints), column]
+    for name, value in zip(layout.joint_names, limits, strict=True):
         if not np.isfinite(value):
-            what = ("velocity", "acceleration")[column]
-            raise WorkcellError(f"joint {name!r} has the {what} limit {value}: it must be finite")
-    return np.where(stated > 0, stated, default)
+            quantity = ("velocity", "acceleration")[column]
+            raise WorkcellError(
+                f"joint {name!r} has the {quantity} limit {value}: it must be finite"
+            )
+    return np.where(limits > 0, limits, default)
 
 
 def kinematic_chain(model, data, layout) -> KinematicChain:
-    """The arm as the kernels read it.
+    """The arm as the kernels read it, in float32.
+
+    Args:
+        model: of the cell.
+        data: its kinematics in the reference configuration, from `reference_data`.
+        layout: where the arm is in the model.
+
+    Returns:
+        Frames `[joint, 7]`, axes `[joint, 3]` and limits `[joint, 2]`, see `KinematicChain`.
 
     Raises:
         WorkcellError: a slide joint without a range, or a limit that is no finite number.
     """
     frames = joint_frames(model, data, layout)
+    # the arm's fixed base is merged into the first offset: the chain starts at the world's origin
     base = pose_of([0, 0, 0], [1, 0, 0, 0])
-    before = [base, *frames[:-1]]
-    offsets = [as_row(a.inv() * b) for a, b in zip(before, frames, strict=True)]
+    parents = [base, *frames[:-1]]
+    offsets = [as_row(a.inv() * b) for a, b in zip(parents, frames, strict=True)]
     site = layout.tool_site
     tool = matrix_pose(data.site_xpos[site], data.site_xmat[site])
     joints = list(layout.joints)

@@ -12,8 +12,8 @@ import numpy as np
 from hybrid_jax.errors import WorkcellError
 from hybrid_jax.types import RobotShapes, Scene, Workcell, WorkcellSource
 from hybrid_jax.workcell import geometry
+from hybrid_jax.workcell.allowed_collisions import contact_pairs, forbidden_contacts
 from hybrid_jax.workcell.chain import joint_frames, kinematic_chain, reference_data
-from hybrid_jax.workcell.contacts import contact_pairs, forbidden_contacts
 from hybrid_jax.workcell.description import TaskData
 from hybrid_jax.workcell.layout import (
     Layout,
@@ -30,7 +30,7 @@ MESH_TOLERANCE = 5e-3
 
 
 def _stroke(model, data, layout, geom: int, frame) -> np.ndarray:
-    """Displacement of a geom per metre of gripper opening, in its link's frame."""
+    """`[3]` displacement of a geom per metre of gripper opening, in its link's frame."""
     stroke = np.zeros(3)
     for body in body_path(model, int(model.geom_bodyid[geom])):
         for j in body_joints(model, body):
@@ -40,56 +40,65 @@ def _stroke(model, data, layout, geom: int, frame) -> np.ndarray:
 
 
 def _object_of(model, layout, geom: int) -> int:
+    """Index of the movable object that a geom belongs to; -1 where it belongs to none."""
     path = body_path(model, int(model.geom_bodyid[geom]))
     return layout.object_bodies.index(path[0]) if path and path[0] in layout.object_bodies else -1
 
 
 def _robot(model, data, layout, geoms, frames, links, tolerance):
     """Primitives that the arm moves, by link within capsules and boxes, and their record."""
-    ones = [
+    primitives = [
         p
         for g in sorted(geoms, key=lambda g: links[g])
         for p in geometry.primitives(model, data, g, frames[links[g]], tolerance)
     ]
-    ones = geometry.slim_first(ones)
-    rows = [_stroke(model, data, layout, p.geom, frames[links[p.geom]]) for p in ones]
-    return ones, RobotShapes(
-        shapes=geometry.to_shapes(ones),
-        stroke=jnp.asarray(np.array(rows, np.float32).reshape(-1, 3)),
-        link=tuple(int(links[p.geom]) for p in ones),
+    primitives = geometry.capsules_first(primitives)
+    strokes = [_stroke(model, data, layout, p.geom, frames[links[p.geom]]) for p in primitives]
+    return primitives, RobotShapes(
+        shapes=geometry.to_shapes(primitives),
+        stroke=jnp.asarray(np.array(strokes, np.float32).reshape(-1, 3)),
+        link=tuple(int(links[p.geom]) for p in primitives),
     )
 
 
 def _objects(model, data, layout, geoms, tolerance):
     """Primitives of the movable objects in their bodies' frames."""
-    ones = []
+    primitives = []
     for g in geoms:
         body = layout.object_bodies[_object_of(model, layout, g)]
         frame = matrix_pose(data.xpos[body], data.xmat[body])
-        ones += geometry.primitives(model, data, g, frame, tolerance)
-    return geometry.slim_first(ones)
+        primitives += geometry.primitives(model, data, g, frame, tolerance)
+    return geometry.capsules_first(primitives)
 
 
 def _payload_slots(owners: list[int], objects) -> tuple[int, int]:
-    """Capsules and boxes that a payload needs: those of the object that has most."""
+    """Capsules and boxes that a payload needs: the most that any object has of each."""
+    # whichever object is held, the arrays keep their shapes, so no new trace is needed
     pairs = list(zip(owners, objects, strict=True))
     return tuple(
-        max([sum(o == k and p.slim == slim for o, p in pairs) for k in set(owners)], default=0)
-        for slim in (True, False)
+        max(
+            [sum(o == k and p.is_capsule == capsule for o, p in pairs) for k in set(owners)],
+            default=0,
+        )
+        for capsule in (True, False)
     )
 
 
 def _digest(arrays, names, task) -> str:
     """Hash of what the kernels read, rounded so that it does not depend on the last bit."""
-    total = hashlib.sha256(repr((names, task)).encode())
+    digest = hashlib.sha256(repr((names, task)).encode())
     for leaf in jax.tree.leaves(arrays):
         rounded = np.round(np.asarray(leaf, np.float64), 5) + 0.0  # no negative zeros
-        total.update(rounded.astype(np.float32).tobytes())
-    return total.hexdigest()
+        digest.update(rounded.astype(np.float32).tobytes())
+    return digest.hexdigest()
 
 
 def require_geometry(model: mujoco.MjModel, layout: Layout) -> None:
-    """Raise where the arm has nothing that could touch anything: every motion would seem free."""
+    """Refuse an arm without collision geoms: every motion would seem free.
+
+    Raises:
+        WorkcellError: no geom of the arm can touch anything.
+    """
     links = geom_links(model, layout)
     if not any(links[g] >= 0 for g in geometry.touching_geoms(model)):
         body = model.body(int(model.site_bodyid[layout.tool_site])).name
@@ -118,32 +127,41 @@ def compile_workcell(
         path: of the file that the model was read from.
         tool: site that is the tool; as the task data say, or a usual name, if empty.
 
+    Returns:
+        The cell with its objects in their bodies' frames: place them by `place_objects`.
+
     Raises:
-        WorkcellError: a geom the kernels cannot represent, an arm without any, no serial arm, a
-            slide without range, limits that are no numbers.
+        WorkcellError: a geom that the kernels cannot represent, an arm without collision geoms,
+            no serial arm, a slide without a range, or limits that are no numbers.
     """
     layout = find_layout(model, task, tool)
     require_geometry(model, layout)
     data = reference_data(model, layout)
     frames = joint_frames(model, data, layout)
     geoms, links = geometry.collision_geoms(model), geom_links(model, layout)
-    movable = [g for g in geoms if _object_of(model, layout, g) >= 0]
-    moved = [g for g in geoms if links[g] >= 0]
-    fixed = [g for g in geoms if links[g] < 0 and g not in movable]
-    robot, robot_record = _robot(model, data, layout, moved, frames, links, mesh_tolerance)
+    object_geoms = [g for g in geoms if _object_of(model, layout, g) >= 0]
+    arm_geoms = [g for g in geoms if links[g] >= 0]
+    fixed_geoms = [g for g in geoms if links[g] < 0 and g not in object_geoms]
+    robot, robot_record = _robot(model, data, layout, arm_geoms, frames, links, mesh_tolerance)
     world = pose_of([0, 0, 0], [1, 0, 0, 0])
-    fixtures = geometry.slim_first(
-        [p for g in fixed for p in geometry.primitives(model, data, g, world, mesh_tolerance)]
+    fixtures = geometry.capsules_first(
+        [p for g in fixed_geoms for p in geometry.primitives(model, data, g, world, mesh_tolerance)]
     )
-    objects = _objects(model, data, layout, movable, mesh_tolerance)
+    objects = _objects(model, data, layout, object_geoms, mesh_tolerance)
     owners = [_object_of(model, layout, p.geom) for p in objects]
     gripper = task.gripper if task else None
+    # without task data any object may be held; with data that name no gripper none is
     nothing_held = task is not None and gripper is None
     slots = (0, 0) if nothing_held else _payload_slots(owners, objects)
     pairs = contact_pairs(
-        robot, slots, fixtures, objects, links, len(layout.joints) - 1,
+        robot,
+        slots,
+        fixtures,
+        objects,
+        links,
+        len(layout.joints) - 1,
         forbidden_contacts(model, layout),
-    )  # fmt: skip
+    )
     scene = Scene(
         objects=geometry.to_shapes(objects),
         payload=geometry.to_shapes([], slots),

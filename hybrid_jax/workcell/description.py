@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What the tasks of a cell need beyond geometry: objects, grasps, strokes. Read from `CELL.toml`.
+"""Task data of a cell, read from `CELL.toml`: objects, grasps, strokes, beside the geometry.
 
 The file's `kind` says what is done in the cell: `handling` or `inspection`.
 """
@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Annotated
 
 from hybrid_jax.errors import UnknownNameError, WorkcellError
-from hybrid_jax.inputfiles import read_text
+from hybrid_jax.runtime.input_files import read_text
 from hybrid_jax.workcell.records import Within, record, records
 
 LENGTH = 10.0
-"""No length in the task data of a work cell is larger [m]."""
+"""Largest length that the task data of a work cell may state [m]."""
 
 
 @dataclass(frozen=True)
@@ -37,18 +37,18 @@ class ControllerSpec:
     """How the robot's controller wants its programs."""
 
     program: str
-    """Its language: `tp`."""
+    """Language of the programs: `tp`."""
     minus: tuple[tuple[str, str], ...] = ()
     """Pairs of joints: the controller counts the first from the second, not from its link."""
     close: str = ""
     """Instruction that closes the gripper."""
     open: str = ""
-    """Instruction that opens it."""
+    """Instruction that opens the gripper."""
 
 
 @dataclass(frozen=True)
 class TraySpec:
-    """A tray that objects are put into."""
+    """A tray into which objects are put."""
 
     name: str
     """Body of the tray."""
@@ -65,9 +65,9 @@ class ObjectSpec:
     name: str
     """Free body."""
     kind: str
-    """What it is: skills are demonstrated by kind."""
+    """Kind of object: skills are demonstrated for each kind."""
     tray: str
-    """Tray that it belongs in."""
+    """Name of the tray that it belongs in."""
     grasp: Annotated[tuple[float, float, float], Within(-LENGTH, LENGTH)]
     """Tool centre in the object's frame [m]; the tool points down, the fingers open along x."""
     grip: Annotated[float, Within(0.0, LENGTH)]
@@ -92,6 +92,7 @@ class Handling:
     """A handling task: sort the objects into their trays."""
 
     tool_site: str
+    """Site that is the tool."""
     gripper: GripperSpec
     table: str
     """Body whose surface the objects lie on."""
@@ -103,6 +104,7 @@ class Handling:
     """Height above the tray's floor at which it is let go [m]."""
     trays: tuple[TraySpec, ...]
     objects: tuple[ObjectSpec, ...]
+    # not in the `repr`, of which the cell's hash is made: programs do not change what is planned
     controller: ControllerSpec | None = field(default=None, repr=False)
 
     def object(self, name: str) -> ObjectSpec:
@@ -115,19 +117,19 @@ class Handling:
 
     @property
     def fixture_names(self) -> tuple[str, ...]:
-        """Bodies that the data name."""
+        """Bodies of the cell that the data name and that do not move."""
         return (self.table, *(tray.name for tray in self.trays))
 
 
 @dataclass(frozen=True)
 class FaceSpec:
-    """A face that is brushed: a strip along a part's x axis that twists evenly about it."""
+    """A face that is brushed: a strip along a part's x axis that twists evenly about this axis."""
 
     name: str
     length: Annotated[float, Within(1e-6, LENGTH)]
-    """Of the stroke; its middle is the part's origin [m]."""
+    """Length of the stroke [m]; its middle is the part's origin."""
     height: Annotated[float, Within(-LENGTH, LENGTH)]
-    """Of the strip's middle line above the part's origin [m]."""
+    """Height of the strip's middle line above the part's origin [m]."""
     twist: Annotated[tuple[float, float], Within(-math.pi, math.pi)]
     """Angle of the face about x where the stroke begins and where it ends [rad]."""
 
@@ -151,34 +153,34 @@ class Inspection:
     """An inspection task: go home, over the tray, then brush one of the parts from end to end."""
 
     tool_site: str
-    """Tips of the brush; it points along z, and is moved along x."""
+    """Site at the tips of the brush, which points along z and is moved along x."""
     tray: str
     """Body that the parts lie in."""
     hover: Annotated[float, Within(0.0, LENGTH)]
     """Height above the tray's origin at which the arm comes to rest before it brushes [m]."""
     brush_speed: Annotated[float, Within(1e-4, LENGTH)]
-    """Most that the brush may move on a part [m/s]."""
+    """Highest speed of the brush on a part [m/s]."""
     guides: Annotated[int, Within(0, 100)]
-    """Key poses between the ends of a stroke, which the brush passes."""
+    """How many key poses the brush passes between the ends of a stroke."""
     start_jitter: Annotated[float, Within(0.0, math.pi)]
-    """Random tasks begin within so much of home in every joint [rad]."""
+    """How far from home random tasks begin at most, in every joint [rad]."""
     faces: tuple[FaceSpec, ...]
     parts: tuple[PartSpec, ...]
     controller: ControllerSpec | None = field(default=None, repr=False)
 
     @property
     def objects(self) -> tuple[PartSpec, ...]:
-        """What can be moved in the cell."""
+        """The movable objects of the cell: its parts."""
         return self.parts
 
     @property
     def gripper(self) -> None:
-        """Nothing is carried."""
+        """None: an inspection carries nothing."""
         return None
 
     @property
     def fixture_names(self) -> tuple[str, ...]:
-        """Bodies that the data name."""
+        """Bodies of the cell that the data name and that do not move."""
         return (self.tray,)
 
     def part(self, name: str) -> PartSpec:
@@ -191,7 +193,7 @@ class Inspection:
 
 
 TaskData = Handling | Inspection
-"""Task data of a cell."""
+"""Task data of a cell, of either kind."""
 
 
 def _by_name(what: str, name: str, specs):
@@ -211,17 +213,17 @@ def _handling(data: dict, name: str) -> Handling:
 def _inspection(data: dict, name: str) -> Inspection:
     faces = records(FaceSpec, data.pop("faces", []), f"{name} [[faces]]")
     parts = records(PartSpec, data.pop("parts", []), f"{name} [[parts]]")
-    found = record(Inspection, data | {"faces": faces, "parts": parts}, name)
+    inspection = record(Inspection, data | {"faces": faces, "parts": parts}, name)
     for part in parts:
-        found.face(part.face)
-    return found
+        inspection.face(part.face)
+    return inspection
 
 
 _READERS = {"handling": _handling, "inspection": _inspection}
 
 
 def read_task_data(path: Path) -> TaskData | None:
-    """Read the task data beside a cell's MJCF; None where there is none.
+    """Read the task data beside a cell's model; None where there are none.
 
     Raises:
         WorkcellError: the file does not parse, or a field is missing or unknown.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Everything that is wrong with a cell's model at once; `load_workcell` stops at the first."""
+"""All faults of a cell's model at once, where `load_workcell` stops at the first."""
 
 import copy
 import itertools
@@ -12,8 +12,9 @@ import mujoco
 import numpy as np
 
 from hybrid_jax.errors import HybridJaxError, WorkcellError
-from hybrid_jax.quiet import engine_messages
+from hybrid_jax.runtime.quiet import engine_messages
 from hybrid_jax.workcell import geometry
+from hybrid_jax.workcell.allowed_collisions import forbidden_contacts, home_overlaps, overlaps
 from hybrid_jax.workcell.approximation import ellipsoid_excess
 from hybrid_jax.workcell.chain import (
     DEFAULT_ACCELERATION,
@@ -22,25 +23,24 @@ from hybrid_jax.workcell.chain import (
     reference_data,
 )
 from hybrid_jax.workcell.compile import MESH_TOLERANCE, require_geometry
-from hybrid_jax.workcell.contacts import forbidden_contacts, home_overlaps, overlaps
 from hybrid_jax.workcell.description import TaskData, read_task_data
 from hybrid_jax.workcell.layout import Layout, body_path, find_layout, home_qpos
 from hybrid_jax.workcell.load import as_spec, read_model
-from hybrid_jax.workcell.toolframe import longest_chain
+from hybrid_jax.workcell.tool_frame import longest_chain
 
 WRONG, DOUBTFUL = "wrong", "doubtful"
 SAMPLES = 200
-"""Random configurations in which pairs are tried that touch always."""
+"""Random configurations in which a pair must touch to be said to touch always."""
 CLOSE = 0.004
-"""A pair that is never further apart leaves no clearance that a motion could keep [m]."""
+"""A pair of bodies that is never further apart leaves no clearance to any motion [m]."""
 NARROW = 0.2
-"""A hinge that turns by less was probably meant in other units [rad]."""
+"""Range of a hinge below which it was probably meant in other units [rad]."""
 FASTEST = {"rad": 30.0, "m": 20.0}
-"""A joint that is faster was probably meant in other units [rad/s, m/s]: 5 turns a second."""
+"""Speed above which another unit was probably meant [rad/s, m/s]: some five turns a second."""
 SLOWEST = 1e-4
-"""A joint that is slower takes hours for any motion [rad/s, m/s]."""
+"""Speed below which a joint takes hours for any motion [rad/s, m/s]."""
 LONGEST = 20.0
-"""An arm that reaches further was probably drawn in millimetres [m]."""
+"""Length above which an arm was probably drawn in millimetres [m]."""
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 
 
@@ -59,34 +59,37 @@ def diagnose(
     tool: str = "",
     package_paths: Sequence[Path] = (),
 ) -> list[Finding]:
-    """What is wrong with a cell, worst first; empty if nothing is.
+    """Faults of a cell, the worst first; empty if there is none.
 
     Args:
         path: MJCF, URDF or MJB file; the task data beside it are read as well.
         mesh_tolerance, tool, package_paths: see `load_workcell`.
     """
-    found: list[Finding] = []
-    task = _tried(found, lambda: read_task_data(path.with_suffix(".toml")))
-    model, layout = _look(found, path, task, tool, package_paths)
+    findings: list[Finding] = []
+    task = _tried(findings, lambda: read_task_data(path.with_suffix(".toml")))
+    model, layout = _look(findings, path, task, tool, package_paths)
     if model is not None:
-        found += _geoms(model, mesh_tolerance)
+        findings += _geoms(model, mesh_tolerance)
     if layout is not None:
-        _tried(found, lambda: require_geometry(model, layout))
-        found += itertools.chain(
-            _joints(path, model, layout), _lengths(model, layout), _masses(path, model, layout),
-            _home(path, model, layout), _always_touching(model, layout),
-        )  # fmt: skip
-    return sorted(dict.fromkeys(found), key=lambda finding: finding.level != WRONG)
+        _tried(findings, lambda: require_geometry(model, layout))
+        findings += itertools.chain(
+            _joints(path, model, layout),
+            _lengths(model, layout),
+            _masses(path, model, layout),
+            _home(path, model, layout),
+            _always_touching(model, layout),
+        )
+    return sorted(dict.fromkeys(findings), key=lambda finding: finding.level != WRONG)
 
 
 def _look(found: list[Finding], path: Path, task: TaskData | None, tool: str, packages):
-    """Model and layout, as far as there are any; what stands in their way is found."""
+    """Model and layout, None where there is none; what prevents them is added to `found`."""
     model = _tried(found, lambda: read_model(path, tool, packages))
     layout = model and _tried(found, lambda: find_layout(model, task, tool))
     if layout is None and model is not None and task:
         layout = _tried([], lambda: find_layout(model, None, tool))
     if layout is None and not tool:
-        # where nothing tells the tool, the rest is looked at with the end of the longest chain
+        # where nothing tells the tool, all else is checked with the end of the longest chain
         end = _tried([], lambda: longest_chain(as_spec(path, packages)))
         model = (end and _tried([], lambda: read_model(path, end, packages))) or model
         layout = end and _tried([], lambda: find_layout(model, None, end))
@@ -94,12 +97,12 @@ def _look(found: list[Finding], path: Path, task: TaskData | None, tool: str, pa
 
 
 def _tried(found: list[Finding], action: Callable):
-    """What an action returns; None, and what is wrong is found, where it raises."""
+    """What an action returns; where it raises, None, and its error is added to `found`."""
     try:
         return action()
     except HybridJaxError as error:
         found.append(Finding(WRONG, str(error)))
-    except ValueError:  # MuJoCo's; `read_model` says it
+    except ValueError:  # MuJoCo's own error: `read_model` has reported it
         pass
     return None
 
@@ -126,8 +129,10 @@ def _geoms(model: mujoco.MjModel, tolerance: float) -> Iterator[Finding]:
 
 def _joints(path: Path, model: mujoco.MjModel, layout: Layout) -> Iterator[Finding]:
     """Limits and servos of the arm."""
-    rows = zip(layout.joint_names, layout.joint_units, layout.joints, layout.actuators, strict=True)
-    for name, unit, j, actuator in rows:
+    arm_joints = zip(
+        layout.joint_names, layout.joint_units, layout.joints, layout.actuators, strict=True
+    )
+    for name, unit, j, actuator in arm_joints:
         low, high = model.jnt_range[j]
         if low > high or model.jnt_limited[j] and low == high:
             text = f"joint {name!r} has the range {low:g} to {high:g}"
@@ -157,19 +162,19 @@ def _rates(path: Path, model: mujoco.MjModel, name: str, unit: str, j: int) -> I
     if path.suffix.lower() == ".urdf":
         remedy = "a URDF states velocities in <limit>; what else there is to say takes an MJCF"
     rates = (("velocity", DEFAULT_VELOCITY, "s"), ("acceleration", DEFAULT_ACCELERATION, "s^2"))
-    for column, (what, default, per) in enumerate(rates):
+    for column, (quantity, default, per) in enumerate(rates):
         value = model.jnt_user[j, column] if model.nuser_jnt > column else 0.0
         if not np.isfinite(value):
-            text = f"joint {name!r} has the {what} limit {value}: it must be finite"
+            text = f"joint {name!r} has the {quantity} limit {value}: it must be finite"
             yield Finding(WRONG, text)
         elif value <= 0:
             yield Finding(
                 DOUBTFUL,
-                f"joint {name!r} states no {what} limit: {default:g} {unit}/{per} is used; "
+                f"joint {name!r} states no {quantity} limit: {default:g} {unit}/{per} is used; "
                 f"{remedy}",
             )
         elif value < SLOWEST:
-            text = f"joint {name!r} has the {what} limit {value:g} {unit}/{per}"
+            text = f"joint {name!r} has the {quantity} limit {value:g} {unit}/{per}"
             yield Finding(WRONG, f"{text}: every motion would take hours")
         elif column == 0 and value > FASTEST[unit]:
             meant = "deg/s" if unit == "rad" else "mm/s"
@@ -178,11 +183,11 @@ def _rates(path: Path, model: mujoco.MjModel, name: str, unit: str, j: int) -> I
 
 
 def _lengths(model: mujoco.MjModel, layout: Layout) -> Iterator[Finding]:
-    """Is the arm as long as one that was drawn in millimetres?"""
+    """Warning about an arm that is as long as one that was drawn in millimetres."""
     data = reference_data(model, layout)
-    places = [frame.translation for frame in joint_frames(model, data, layout)]
-    places.append(data.site_xpos[layout.tool_site])
-    length = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
+    points = [frame.translation for frame in joint_frames(model, data, layout)]
+    points.append(data.site_xpos[layout.tool_site])
+    length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
     slides = [j for j, unit in zip(layout.joints, layout.joint_units, strict=True) if unit == "m"]
     length = max([length, *(np.ptp(model.jnt_range[j]) for j in slides)])
     if length > LONGEST:
@@ -194,7 +199,7 @@ def _lengths(model: mujoco.MjModel, layout: Layout) -> Iterator[Finding]:
 
 
 def _masses(path: Path, model: mujoco.MjModel, layout: Layout) -> Iterator[Finding]:
-    """Links whose mass nobody stated, and things without any."""
+    """Links without a stated mass, and objects without any mass."""
     links = {b for j in layout.joints for b in body_path(model, int(model.jnt_bodyid[j]))}
     links = {model.body(b).name for b in links if model.body_weldid[b]}
     if path.suffix.lower() == ".xml":
@@ -214,17 +219,23 @@ def _masses(path: Path, model: mujoco.MjModel, layout: Layout) -> Iterator[Findi
 
 
 def _home(path: Path, model: mujoco.MjModel, layout: Layout) -> Iterator[Finding]:
-    """The home configuration: is there one, within the limits, free?"""
-    home, stated = home_qpos(model), _states_home(path)
-    if not stated:
+    """Faults of the home configuration: missing, outside the limits, in collision."""
+    home, has_keyframe = home_qpos(model), _states_home(path)
+    if not has_keyframe:
         q = ", ".join(
-            f"{name} {home[address]:.3g} {unit}" for name, address, unit in
-            zip(layout.joint_names, layout.qpos, layout.joint_units, strict=True)
-        )  # fmt: skip
+            f"{name} {home[address]:.3g} {unit}"
+            for name, address, unit in zip(
+                layout.joint_names, layout.qpos, layout.joint_units, strict=True
+            )
+        )
         yield Finding(DOUBTFUL, f"there is no keyframe 'home': the arm starts at {q}")
-    remedy = "change the keyframe 'home'" if stated else "write an MJCF with a keyframe 'home'"
-    rows = zip(layout.joint_names, layout.joint_units, layout.joints, layout.qpos, strict=True)
-    for name, unit, j, address in rows:
+    remedy = (
+        "change the keyframe 'home'" if has_keyframe else "write an MJCF with a keyframe 'home'"
+    )
+    arm_joints = zip(
+        layout.joint_names, layout.joint_units, layout.joints, layout.qpos, strict=True
+    )
+    for name, unit, j, address in arm_joints:
         low, high = model.jnt_range[j]
         if model.jnt_limited[j] and low < high and not low <= home[address] <= high:
             yield Finding(
@@ -249,7 +260,7 @@ def _states_home(path: Path) -> bool:
 def _always_touching(model: mujoco.MjModel, layout: Layout) -> Iterator[Finding]:
     """Bodies that touch, or nearly, in every configuration: a missing exclusion, or a bad geom."""
     model = copy.deepcopy(model)
-    # contacts are reported from this distance on
+    # MuJoCo reports contacts of geoms that are closer than their margins, not overlaps alone
     model.geom_margin[:] = model.body_margin[:] = model.pair_margin[:] = CLOSE
     rng, data = np.random.default_rng(0), reference_data(model, layout)
     forbidden, joints = forbidden_contacts(model, layout), list(layout.joints)
@@ -260,18 +271,19 @@ def _always_touching(model: mujoco.MjModel, layout: Layout) -> Iterator[Finding]
         data.qpos[list(layout.qpos)] = rng.uniform(low, high)
         for pair, depth in overlaps(model, data, forbidden, CLOSE).items():
             depths[pair].append(depth)
-    for (a, b), found in depths.items():
-        if len(found) < SAMPLES:
+    for (a, b), pair_depths in depths.items():
+        if len(pair_depths) < SAMPLES:
             continue
         pair = f"{geometry.geom_label(model, a)} and {geometry.geom_label(model, b)}"
         bodies = [geometry.body_label(model, int(model.geom_bodyid[g])) for g in (a, b)]
-        how = (
-            "overlap in every configuration" if min(found) > 0 else
-            f"are never further apart than {max(0.0, -1e3 * min(found)):.1f} mm, and no motion "
-            "keeps a margin"
-        )  # fmt: skip
+        relation = (
+            "overlap in every configuration"
+            if min(pair_depths) > 0
+            else f"are never further apart than {max(0.0, -1e3 * min(pair_depths)):.1f} mm, "
+            "and no motion keeps a margin"
+        )
         yield Finding(
             WRONG,
-            f"{pair} {how}: add <exclude body1='{bodies[0]}' body2='{bodies[1]}'/> to the "
+            f"{pair} {relation}: add <exclude body1='{bodies[0]}' body2='{bodies[1]}'/> to the "
             "<contact> of an MJCF, or make one of them smaller",
         )

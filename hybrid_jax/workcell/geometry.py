@@ -28,7 +28,7 @@ KINDS = SPHERE, CAPSULE, BOX, PLANE, CYLINDER, MESH, ELLIPSOID = tuple(
 )
 """Kinds of geoms that the kernels can represent."""
 PIERCEABLE = CAPSULE, BOX
-"""Kinds of geoms of which one can run through the other unseen by C MuJoCo."""
+"""Kinds of geoms of which the first can pierce the second unseen by C MuJoCo."""
 PLANE_HALF = (50.0, 50.0, 5.0)
 """Half extents of the box that stands for an infinite plane [m]: no work cell is larger."""
 
@@ -38,31 +38,33 @@ class Primitive:
     """One primitive in the frame that carries it; a geom may need several."""
 
     geom: int
+    """Number of the geom in the model."""
     pose: RigidTransform
-    half: tuple[float, float, float]
+    """Pose of its centre in the frame that carries it."""
+    half_extents: tuple[float, float, float]
     """Half extents of the box [m]."""
     radius: float
-    """Radius of the ball that sweeps it [m]."""
+    """Radius of the ball that sweeps the box [m]."""
 
     @property
-    def slim(self) -> bool:
+    def is_capsule(self) -> bool:
         """Is it a capsule or a sphere?"""
-        return self.half[0] == 0.0 and self.half[1] == 0.0
+        return self.half_extents[0] == 0.0 and self.half_extents[1] == 0.0
 
 
 def body_label(model: mujoco.MjModel, body: int) -> str:
-    """How messages name a body."""
+    """Name of a body in messages."""
     return model.body(body).name or f"#{body}"
 
 
 def geom_label(model: mujoco.MjModel, geom: int) -> str:
-    """How messages name a geom."""
+    """Name of a geom in messages, with its body."""
     body = int(model.geom_bodyid[geom])
     return f"{model.geom(geom).name or f'#{geom}'} (of body {body_label(model, body)!r})"
 
 
 def touching_geoms(model: mujoco.MjModel) -> list[int]:
-    """Geoms that can touch something."""
+    """Geoms that can touch something, by their bit masks or by a `<pair>`."""
     paired = {*model.pair_geom1.tolist(), *model.pair_geom2.tolist()}
     return [
         g
@@ -72,7 +74,7 @@ def touching_geoms(model: mujoco.MjModel) -> list[int]:
 
 
 def collision_geoms(model: mujoco.MjModel) -> list[int]:
-    """The same, all of kinds that the kernels can represent.
+    """Geoms that can touch something, if the kernels can represent all of them.
 
     Raises:
         WorkcellError: a geom of another kind.
@@ -81,6 +83,7 @@ def collision_geoms(model: mujoco.MjModel) -> list[int]:
     for g in geoms:
         kind = int(model.geom_type[g])
         if kind not in KINDS:
+            # `name[7:]`: without the prefix mjGEOM_
             raise WorkcellError(
                 f"geom {geom_label(model, g)} is a {_G(kind).name[7:].lower()}; collision geoms "
                 "must be spheres, capsules, ellipsoids, boxes, cylinders, planes or convex meshes. "
@@ -91,31 +94,35 @@ def collision_geoms(model: mujoco.MjModel) -> list[int]:
 
 
 def pierces(model: mujoco.MjModel, data: mujoco.MjData, capsule: int, box: int) -> bool:
-    """Does the axis of a capsule run through a box? (The slab test of a segment.)"""
-    turn = data.geom_xmat[box].reshape(3, 3)
-    centre = turn.T @ (data.geom_xpos[capsule] - data.geom_xpos[box])
-    axis = turn.T @ data.geom_xmat[capsule].reshape(3, 3)[:, 2] * model.geom_size[capsule, 1]
+    """Does the axis of a capsule run through a box, at the configuration of `data`?
+
+    It is the slab test of a segment: the parts of the axis between the three pairs of faces
+    must have a point in common.
+    """
+    rotation = data.geom_xmat[box].reshape(3, 3)
+    centre = rotation.T @ (data.geom_xpos[capsule] - data.geom_xpos[box])
+    axis = rotation.T @ data.geom_xmat[capsule].reshape(3, 3)[:, 2] * model.geom_size[capsule, 1]
     low, high = -1.0, 1.0
-    for place, way, half in zip(centre, axis, model.geom_size[box], strict=True):
-        if abs(way) < 1e-12:
-            if abs(place) >= half:
+    for offset, direction, half in zip(centre, axis, model.geom_size[box], strict=True):
+        if abs(direction) < 1e-12:  # parallel to the faces: between them all along, or nowhere
+            if abs(offset) >= half:
                 return False
             continue
-        near, far = sorted(((-half - place) / way, (half - place) / way))
-        low, high = max(low, near), min(high, far)
+        enter, leave = sorted(((-half - offset) / direction, (half - offset) / direction))
+        low, high = max(low, enter), min(high, leave)
     return low < high
 
 
 def _local(model, geom: int, tolerance: float) -> list[tuple]:
-    """Primitives of a geom in its own frame: (pose, half extents, radius)."""
+    """Primitives of a geom in its own frame: (pose, half extents `[3]` [m], radius [m])."""
     kind, size = int(model.geom_type[geom]), model.geom_size[geom]
-    here = pose_of([0, 0, 0], [1, 0, 0, 0])
+    identity = pose_of([0, 0, 0], [1, 0, 0, 0])
     if kind == SPHERE:
-        return [(here, (0.0, 0.0, 0.0), size[0])]
+        return [(identity, (0.0, 0.0, 0.0), size[0])]
     if kind == CAPSULE:
-        return [(here, (0.0, 0.0, size[1]), size[0])]
+        return [(identity, (0.0, 0.0, size[1]), size[0])]
     if kind == BOX:
-        return [(here, tuple(size), 0.0)]
+        return [(identity, tuple(size), 0.0)]
     if kind == PLANE:
         return [(pose_of([0, 0, -PLANE_HALF[2]], [1, 0, 0, 0]), PLANE_HALF, 0.0)]
     if kind == CYLINDER:
@@ -128,41 +135,49 @@ def _local(model, geom: int, tolerance: float) -> list[tuple]:
 
 
 def _mesh_vertices(model, geom: int) -> np.ndarray:
-    """`[n, 3]` vertices of a mesh geom in the geom's frame."""
+    """`[n, 3]` vertices of a mesh geom in the geom's frame [m]."""
     mesh = int(model.geom_dataid[geom])
     first = int(model.mesh_vertadr[mesh])
     return model.mesh_vert[first : first + int(model.mesh_vertnum[mesh])].astype(float)
 
 
 def primitives(model, data, geom: int, frame: RigidTransform, tolerance: float) -> list[Primitive]:
-    """A geom expressed in `frame` at the configuration of `data`.
+    """Primitives of a geom, expressed in `frame` at the configuration of `data`.
 
     Args:
+        model, data: the cell in C MuJoCo, its kinematics up to date.
+        geom: number of the geom.
+        frame: pose in the world of the frame that carries the geom.
         tolerance: how far the primitives of a mesh may stand out of its convex hull [m].
     """
-    place = frame.inv() * matrix_pose(data.geom_xpos[geom], data.geom_xmat[geom])
+    geom_pose = frame.inv() * matrix_pose(data.geom_xpos[geom], data.geom_xmat[geom])
     return [
-        Primitive(geom, place * pose, tuple(float(h) for h in half), float(radius))
+        Primitive(geom, geom_pose * pose, tuple(float(h) for h in half), float(radius))
         for pose, half, radius in _local(model, geom, tolerance)
     ]
 
 
-def slim_first(ones: list[Primitive]) -> list[Primitive]:
-    """Capsules and spheres, then boxes."""
-    return [p for p in ones if p.slim] + [p for p in ones if not p.slim]
+def capsules_first(ones: list[Primitive]) -> list[Primitive]:
+    """The same primitives in the order of the kernels: capsules and spheres, then boxes."""
+    return [p for p in ones if p.is_capsule] + [p for p in ones if not p.is_capsule]
 
 
 def to_shapes(ones: list[Primitive], slots: tuple[int, int] = (0, 0)) -> Shapes:
-    """Pack primitives, capsules first, padded with empty slots (capsules, boxes)."""
-    slim, boxes = [p for p in ones if p.slim], [p for p in ones if not p.slim]
-    slots = max(slots[0], len(slim)), max(slots[1], len(boxes))
+    """Primitives as arrays `[n, ...]`, capsules first, padded with empty slots.
+
+    Args:
+        ones: the primitives, in any order.
+        slots: least numbers of capsules and of boxes.
+    """
+    capsules, boxes = [p for p in ones if p.is_capsule], [p for p in ones if not p.is_capsule]
+    slots = max(slots[0], len(capsules)), max(slots[1], len(boxes))
     pose, half = np.zeros((sum(slots), 7)), np.zeros((sum(slots), 3))
-    radius, on = np.zeros(sum(slots)), np.zeros(sum(slots))
-    pose[:, 3] = 1.0
+    radius, active = np.zeros(sum(slots)), np.zeros(sum(slots))
+    pose[:, 3] = 1.0  # empty slots are not rotated: the quaternion's w comes first
     half[slots[0] :] = 1e-3
-    for first, some in ((0, slim), (slots[0], boxes)):
-        for i, p in enumerate(some, start=first):
-            pose[i], half[i], radius[i], on[i] = as_row(p.pose), p.half, p.radius, 1.0
-    arrays = [jnp.asarray(np.asarray(a, np.float32)) for a in (pose, half, radius, on)]
-    balls = not slots[1] and all(p.half[2] == 0.0 for p in slim)
-    return Shapes(*arrays, slim=slots[0], round=balls)
+    for first, group in ((0, capsules), (slots[0], boxes)):
+        for i, p in enumerate(group, start=first):
+            pose[i], half[i], radius[i], active[i] = as_row(p.pose), p.half_extents, p.radius, 1.0
+    arrays = [jnp.asarray(np.asarray(a, np.float32)) for a in (pose, half, radius, active)]
+    balls = not slots[1] and all(p.half_extents[2] == 0.0 for p in capsules)
+    return Shapes(*arrays, capsule_count=slots[0], all_spheres=balls)

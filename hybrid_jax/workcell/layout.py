@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Where arm, gripper, objects and geoms stand in an `MjModel`."""
+"""Indices of the arm, the gripper, the objects and the geoms in an `MjModel`."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from hybrid_jax.errors import UnknownNameError, WorkcellError
 from hybrid_jax.workcell.description import TaskData
-from hybrid_jax.workcell.toolframe import usual_site
+from hybrid_jax.workcell.tool_frame import usual_site
 
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 _MOTION = (_HINGE, int(mujoco.mjtJoint.mjJNT_SLIDE))
@@ -18,9 +18,10 @@ _ON_JOINT = int(mujoco.mjtTrn.mjTRN_JOINT)
 
 @dataclass(frozen=True)
 class Layout:
-    """Indices into an `MjModel`; all tuples."""
+    """Indices into an `MjModel`, all tuples, so that a layout can be hashed."""
 
     joint_names: tuple[str, ...]
+    """Names of the arm's joints, from the base to the tool."""
     joint_units: tuple[str, ...]
     """Unit of each arm joint's value: rad of a hinge, m of a slide."""
     unlimited: tuple[bool, ...]
@@ -28,18 +29,21 @@ class Layout:
     joints: tuple[int, ...]
     """Joints of the arm, from the base to the tool."""
     qpos: tuple[int, ...]
-    """Their addresses in `qpos`."""
+    """Address of each arm joint in `qpos`."""
     dofs: tuple[int, ...]
-    """Their addresses in `qvel`."""
+    """Address of each arm joint in `qvel`."""
     actuators: tuple[int, ...]
     """Actuator of each arm joint; -1 where there is none."""
     tool_site: int
+    """Site that is the tool."""
     fingers: tuple[int, ...]
     """Slide joints of the gripper."""
     gripper_actuator: int
-    """-1 where there is none."""
+    """Actuator of the gripper; -1 where there is none."""
     object_names: tuple[str, ...]
+    """Names of the movable objects: those of the task data first, in their order."""
     object_bodies: tuple[int, ...]
+    """Body of each object."""
     object_qpos: tuple[int, ...]
     """First of the seven addresses of each object in `qpos`."""
 
@@ -49,7 +53,7 @@ def _name(model, kind, index) -> str:
 
 
 def body_path(model: mujoco.MjModel, body: int) -> list[int]:
-    """Bodies from the world's child down to `body`."""
+    """Bodies from the child of the world down to `body`."""
     path = []
     while body:
         path.append(body)
@@ -65,10 +69,10 @@ def body_joints(model: mujoco.MjModel, body: int) -> range:
 
 def _find_tool(model: mujoco.MjModel, task: TaskData | None, tool: str) -> int:
     names = [model.site(i).name for i in range(model.nsite)]
-    wanted = tool or (task.tool_site if task else "") or usual_site(names)
-    if wanted in names:
-        return names.index(wanted)
-    raise UnknownNameError("tool site", wanted, names)
+    site = tool or (task.tool_site if task else "") or usual_site(names)
+    if site in names:
+        return names.index(site)
+    raise UnknownNameError("tool site", site, names)
 
 
 def _arm_joints(model: mujoco.MjModel, tool: int) -> tuple[int, ...]:
@@ -89,26 +93,30 @@ _EQ = mujoco.mjtEq
 
 
 def _refuse_couplings(model: mujoco.MjModel, joints: tuple[int, ...]) -> None:
-    """Raise where an active equality moves joints of the arm together, or closes a chain.
+    """Refuse an active equality that couples joints of the arm or closes a chain.
 
-    The kernels move every joint by itself. A gripper's own couplings do not matter.
+    The kernels move every joint by itself. Couplings within the gripper do not matter.
+
+    Raises:
+        WorkcellError: there is one; the message names what it couples.
     """
     links = _links(model, joints)
     for e in np.flatnonzero(model.eq_active0):
         kind = int(model.eq_type[e])
         first, second = int(model.eq_obj1id[e]), int(model.eq_obj2id[e])
         if kind == _EQ.mjEQ_JOINT:
-            named = [j for j in (first, second) if j in joints]
-            what = " and ".join(
+            arm_joints = [j for j in (first, second) if j in joints]
+            labels = " and ".join(
                 repr(_name(model, mujoco.mjtObj.mjOBJ_JOINT, j)) for j in (first, second) if j >= 0
             )
-            if named:
+            if arm_joints:
                 raise WorkcellError(
-                    f"an equality couples the joints {what} on the way to the tool: every joint of "
-                    "the arm must move by itself; replace the coupled joint by a fixed link, or "
+                    f"an equality couples the joints {labels} on the way to the tool: every joint "
+                    "of the arm must move by itself; replace the coupled joint by a fixed link, or "
                     "leave the equality out"
                 )
         elif kind in (_EQ.mjEQ_CONNECT, _EQ.mjEQ_WELD):
+            # the same constraint may be given by two sites instead of two bodies
             of_site = model.eq_objtype[e] == mujoco.mjtObj.mjOBJ_SITE
             bodies = [int(model.site_bodyid[i]) if of_site else i for i in (first, second)]
             if links[bodies[0]] != links[bodies[1]]:
@@ -120,15 +128,16 @@ def _refuse_couplings(model: mujoco.MjModel, joints: tuple[int, ...]) -> None:
 
 
 def _links(model: mujoco.MjModel, joints: tuple[int, ...]) -> np.ndarray:
-    """`[body]` number of the last of some joints above it; -1 where none is."""
-    last = {int(model.jnt_bodyid[j]): number for number, j in enumerate(joints)}
+    """`[body]` number of the last of the given joints on the way to it; -1 where there is none."""
+    number_of = {int(model.jnt_bodyid[j]): number for number, j in enumerate(joints)}
     links = np.full(model.nbody, -1)
     for body in range(1, model.nbody):
-        links[body] = last.get(body, links[model.body_parentid[body]])
+        links[body] = number_of.get(body, links[model.body_parentid[body]])
     return links
 
 
 def _joint_actuator(model: mujoco.MjModel, joint: int) -> int:
+    """Actuator that drives a joint directly; -1 where there is none."""
     for a in range(model.nu):
         on_joint = model.actuator_trntype[a] == _ON_JOINT
         if on_joint and model.actuator_trnid[a, 0] == joint:
@@ -139,8 +148,8 @@ def _joint_actuator(model: mujoco.MjModel, joint: int) -> int:
 def _named(model, kind, what: str, name: str) -> int:
     index = mujoco.mj_name2id(model, kind, name)
     if index < 0:
-        known = [_name(model, kind, i) for i in range(_count(model, kind))]
-        raise UnknownNameError(what, name, known)
+        names = [_name(model, kind, i) for i in range(_count(model, kind))]
+        raise UnknownNameError(what, name, names)
     return index
 
 
@@ -208,17 +217,24 @@ def find_layout(model: mujoco.MjModel, task: TaskData | None, tool: str = "") ->
 
 
 def geom_links(model: mujoco.MjModel, layout: Layout) -> np.ndarray:
-    """`[geom]` the same of each geom: links, gripper, fingers have one."""
+    """Link that carries each geom: the index of the last arm joint on the way to it.
+
+    Returns:
+        `[geom]`, -1 where the arm does not move the geom. Gripper and fingers are on a link too.
+    """
     return _links(model, layout.joints)[model.geom_bodyid]
 
 
 def moved_geoms(model: mujoco.MjModel, layout: Layout) -> np.ndarray:
-    """`[geom]` True for geoms that the arm moves."""
+    """Geoms that the arm moves: `[geom]`, True where it does."""
     return geom_links(model, layout) >= 0
 
 
 def home_qpos(model: mujoco.MjModel) -> np.ndarray:
-    """Keyframe `home`, else the first keyframe, else the reference configuration; `[nq]`."""
+    """Home of the whole cell, `qpos` `[nq]`.
+
+    It is the keyframe `home`, else the first keyframe, else the reference configuration `qpos0`.
+    """
     names = [model.key(i).name for i in range(model.nkey)]
     if names:
         return model.key_qpos[names.index("home") if "home" in names else 0].copy()

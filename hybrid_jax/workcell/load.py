@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""From a name or a file to a work cell that is fit to plan in."""
+"""Load a work cell from a name or a file, and refuse one that cannot be planned in."""
 
 import warnings
 from collections.abc import Sequence
@@ -9,42 +9,56 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from hybrid_jax.compilecache import enable_compile_cache
-from hybrid_jax.devices import require_device
 from hybrid_jax.errors import HybridJaxError, WorkcellError
-from hybrid_jax.kernels.inputs import single_precision
-from hybrid_jax.quiet import engine_messages
+from hybrid_jax.kernels.argument_checks import single_precision
+from hybrid_jax.runtime.compile_cache import enable_compile_cache
+from hybrid_jax.runtime.devices import require_device
+from hybrid_jax.runtime.quiet import engine_messages
 from hybrid_jax.types import Workcell
+from hybrid_jax.workcell.allowed_collisions import home_overlaps
 from hybrid_jax.workcell.assets import find_workcell
 from hybrid_jax.workcell.compile import MESH_TOLERANCE, compile_workcell
-from hybrid_jax.workcell.contacts import home_overlaps
 from hybrid_jax.workcell.description import read_task_data
 from hybrid_jax.workcell.home import free_home
 from hybrid_jax.workcell.layout import home_qpos
 from hybrid_jax.workcell.scene import place_objects
-from hybrid_jax.workcell.toolframe import set_tool
+from hybrid_jax.workcell.tool_frame import set_tool
 from hybrid_jax.workcell.urdf import read_urdf
 
-_NUMBERS = ("body_pos", "body_quat", "geom_pos", "geom_quat", "geom_size", "jnt_pos", "jnt_axis",
-            "jnt_range", "site_pos", "site_quat", "mesh_vert", "qpos0", "key_qpos")  # fmt: skip
+_NUMBERS = (
+    "body_pos",
+    "body_quat",
+    "geom_pos",
+    "geom_quat",
+    "geom_size",
+    "jnt_pos",
+    "jnt_axis",
+    "jnt_range",
+    "site_pos",
+    "site_quat",
+    "mesh_vert",
+    "qpos0",
+    "key_qpos",
+)
 """Arrays of a model that geometry is computed from."""
 _ABSURD = 1e6
-"""No length of a work cell is larger [m]."""
+"""Number from which on a model is refused: no length of a work cell is as large [m]."""
 
 
 def as_spec(path: Path, package_paths: Sequence[Path] = ()) -> mujoco.MjSpec:
-    """An MJCF or URDF file as it is, with what MuJoCo leaves out of a URDF."""
+    """Spec of an MJCF or URDF file as it is written; a URDF's is completed by `read_urdf`."""
     if path.suffix.lower() == ".urdf":
         return read_urdf(path, package_paths)
     if path.suffix == ".xml":
         return mujoco.MjSpec.from_file(str(path))
-    spec = mujoco.MjSpec.from_string(path.read_text())  # MuJoCo knows a file by a small ending
+    # MuJoCo does not know a file by an ending in capitals
+    spec = mujoco.MjSpec.from_string(path.read_text())
     spec.modelfiledir = str(path.parent)
     return spec
 
 
 def read_spec(path: Path, tool: str = "", package_paths: Sequence[Path] = ()) -> mujoco.MjSpec:
-    """An MJCF or URDF file with a tool and, where it needs one, a home.
+    """Spec of an MJCF or URDF file with a tool and, where it needs one, a home.
 
     A model without a keyframe whose joints cannot all be at zero gets one, see `free_home`.
 
@@ -67,7 +81,7 @@ def read_spec(path: Path, tool: str = "", package_paths: Sequence[Path] = ()) ->
 
 
 def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """Compile, without the warning that a file which includes another cannot be saved."""
+    """Compile a spec without the warning that a file which includes another cannot be saved."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Attaching a spec", UserWarning)
         return spec.compile()
@@ -79,9 +93,7 @@ def _compile(path: Path, tool: str, package_paths: Sequence[Path]) -> mujoco.MjM
     return compile_spec(read_spec(path, tool, package_paths))
 
 
-def read_model(
-    path: Path, tool: str = "", package_paths: Sequence[Path] = ()
-) -> mujoco.MjModel:
+def read_model(path: Path, tool: str = "", package_paths: Sequence[Path] = ()) -> mujoco.MjModel:
     """Compile an MJCF, URDF or MJB file; see `read_spec`.
 
     Args:
@@ -123,7 +135,7 @@ def load_workcell(
 
     A file `CELL.toml` beside `CELL.xml` holds the task data (objects, grasps, strokes). Joint
     velocity and acceleration limits stand in the joints' `user` data. Compiled programs are kept
-    between processes from now on, see `compilecache`.
+    between processes from now on, see `runtime.compile_cache`.
 
     Args:
         name_or_path: name of a shipped cell, or path of an MJCF, URDF or MJB file.

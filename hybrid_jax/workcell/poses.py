@@ -1,23 +1,34 @@
 # SPDX-License-Identifier: MIT
-"""MuJoCo's positions, quaternions and matrices as SciPy poses, float64 on the host."""
+"""Poses in their different forms: MuJoCo's rows, SciPy's transforms, dual quaternions. Float64."""
 
+import mujoco
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 
 def pose_of(position, quat_wxyz) -> RigidTransform:
-    """SciPy pose from MuJoCo's position and quaternion."""
+    """SciPy pose of a position `[3]` [m] and a quaternion `[4]` (w, x, y, z), as in MuJoCo."""
     rotation = Rotation.from_quat(np.asarray(quat_wxyz, float), scalar_first=True)
     return RigidTransform.from_components(np.asarray(position, float), rotation)
 
 
 def matrix_pose(position, matrix) -> RigidTransform:
-    """SciPy pose from MuJoCo's position and flat rotation matrix."""
+    """SciPy pose of a position `[3]` [m] and a rotation matrix `[9]`, row by row as in MuJoCo."""
     return RigidTransform.from_components(
         np.asarray(position, float), Rotation.from_matrix(np.asarray(matrix, float).reshape(3, 3))
     )
 
 
 def as_row(pose: RigidTransform) -> np.ndarray:
-    """`[7]`: position, quaternion (w, x, y, z)."""
+    """Position [m] and quaternion (w, x, y, z) of a SciPy pose, as one row `[7]`."""
     return np.concatenate([pose.translation, pose.rotation.as_quat(scalar_first=True)])
+
+
+def pose_row(pose: np.ndarray) -> np.ndarray:
+    """Position [m] and quaternion (w, x, y, z) of a dual quaternion `[8]`, as one row `[7]`."""
+    pose = np.asarray(pose, float)
+    # the translation is the vector part of 2 d r* (paper, section "Dual Quaternion")
+    conjugate, product = np.empty(4), np.empty(4)
+    mujoco.mju_negQuat(conjugate, pose[:4])
+    mujoco.mju_mulQuat(product, pose[4:], conjugate)
+    return np.concatenate([2 * product[1:], pose[:4]])

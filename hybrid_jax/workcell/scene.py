@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Change a scene without a new trace: put objects down, pick one up, open the gripper."""
+"""Change a scene without a new trace: put objects down, pick one up, open the gripper.
+
+Only values change, never shapes, so compiled programs serve the new scene as well.
+"""
 
 import jax.numpy as jnp
 from jax import Array
@@ -11,20 +14,29 @@ from hybrid_jax.types import Shapes, Workcell
 
 
 def _moved(shapes: Shapes, pose: Float[Array, "n 7"]) -> Shapes:
-    """Shapes moved by one pose each."""
+    """Shapes, each of which is moved by its own pose (position [m], quaternion)."""
     centre = pose[:, :3] + dq.quat_rotate(pose[:, 3:], shapes.pose[:, :3])
-    turn = dq.quat_mul(pose[:, 3:], shapes.pose[:, 3:])
-    return shapes.replace(pose=jnp.concatenate([centre, turn], -1))
+    rotation = dq.quat_mul(pose[:, 3:], shapes.pose[:, 3:])
+    return shapes.replace(pose=jnp.concatenate([centre, rotation], -1))
 
 
 def place_objects(cell: Workcell, poses: Float[Array, "object 7"]) -> Workcell:
-    """The cell with its movable objects at the given poses (position [m], quaternion), all seen."""
+    """The cell with its movable objects at the given poses, all of them active.
+
+    Args:
+        cell: any.
+        poses: `[object, 7]` in the world: position [m], quaternion.
+    """
     objects = _moved(cell.objects, poses[jnp.array(cell.source.owners, int)])
     return cell.replace(scene=cell.scene.replace(objects=objects))
 
 
 def object_index(cell: Workcell, name: str) -> int:
-    """Position of an object in the cell's order."""
+    """Index of an object in the cell's order.
+
+    Raises:
+        UnknownNameError: no such object.
+    """
     names = cell.source.layout.object_names
     if name not in names:
         raise UnknownNameError("object", name, names)
@@ -32,7 +44,7 @@ def object_index(cell: Workcell, name: str) -> int:
 
 
 def _own(cell: Workcell, name: str) -> list[int]:
-    """Primitives of one object."""
+    """Indices of the primitives of one object in `Workcell.objects`."""
     k = object_index(cell, name)
     return [i for i, owner in enumerate(cell.source.owners) if owner == k]
 
@@ -40,47 +52,79 @@ def _own(cell: Workcell, name: str) -> list[int]:
 def attach(cell: Workcell, name: str, object_in_tool: Float[Array, "7"]) -> Workcell:
     """The cell with one object in the gripper: it counts as robot and no longer as obstacle.
 
-    `detach` undoes it. The compiled programs stay: only the values of the scene change.
+    `detach` undoes it.
+
+    Args:
+        cell: with an empty gripper.
+        name: of the object.
+        object_in_tool: `[7]` pose of the object in the tool's frame: position [m], quaternion.
+
+    Raises:
+        UnknownNameError: no such object.
     """
-    mine, empty, slots = _own(cell, name), cell.scene.payload, cell.scene.payload.slim
+    rows, slots, slot_offset = (
+        _own(cell, name),
+        cell.scene.payload,
+        cell.scene.payload.capsule_count,
+    )
     shapes = _moved(cell.objects, jnp.broadcast_to(object_in_tool, (cell.objects.count, 7)))
-    slim = [i for i in mine if i < shapes.slim]
-    boxes = [i for i in mine if i >= shapes.slim]
-    into = jnp.array(list(range(len(slim))) + [slots + i for i in range(len(boxes))], int)
-    taken = jnp.array(slim + boxes, int)
-    payload = empty.replace(
-        pose=empty.pose.at[into].set(shapes.pose[taken]),
-        half=empty.half.at[into].set(shapes.half[taken]),
-        radius=empty.radius.at[into].set(shapes.radius[taken]),
-        on=jnp.zeros_like(empty.on).at[into].set(1.0),
+    capsules = [i for i in rows if i < shapes.capsule_count]
+    boxes = [i for i in rows if i >= shapes.capsule_count]
+    # the payload's slots for capsules come first, then those for boxes, as in all `Shapes`
+    targets = jnp.array(
+        list(range(len(capsules))) + [slot_offset + i for i in range(len(boxes))], int
+    )
+    sources = jnp.array(capsules + boxes, int)
+    payload = slots.replace(
+        pose=slots.pose.at[targets].set(shapes.pose[sources]),
+        half_extents=slots.half_extents.at[targets].set(shapes.half_extents[sources]),
+        radius=slots.radius.at[targets].set(shapes.radius[sources]),
+        active=jnp.zeros_like(slots.active).at[targets].set(1.0),
     )
     objects = cell.scene.objects
-    objects = objects.replace(on=objects.on.at[jnp.array(mine, int)].set(0.0))
+    objects = objects.replace(active=objects.active.at[jnp.array(rows, int)].set(0.0))
     return cell.replace(scene=cell.scene.replace(objects=objects, payload=payload))
 
 
 def detach(cell: Workcell, name: str, pose: Float[Array, "7"]) -> Workcell:
-    """The cell with an empty gripper and the object that it held standing at a pose."""
-    mine = jnp.array(_own(cell, name), int)
-    put = _moved(cell.objects, jnp.broadcast_to(pose, (cell.objects.count, 7)))
+    """The cell with an empty gripper and the object that it held at a pose in the world.
+
+    Args:
+        cell: with the object in the gripper.
+        name: of the object.
+        pose: `[7]` of the object: position [m], quaternion.
+
+    Raises:
+        UnknownNameError: no such object.
+    """
+    rows = jnp.array(_own(cell, name), int)
+    placed = _moved(cell.objects, jnp.broadcast_to(pose, (cell.objects.count, 7)))
     objects, payload = cell.scene.objects, cell.scene.payload
     objects = objects.replace(
-        pose=objects.pose.at[mine].set(put.pose[mine]), on=objects.on.at[mine].set(1.0)
+        pose=objects.pose.at[rows].set(placed.pose[rows]), active=objects.active.at[rows].set(1.0)
     )
-    payload = payload.replace(on=jnp.zeros_like(payload.on))
+    payload = payload.replace(active=jnp.zeros_like(payload.active))
     return cell.replace(scene=cell.scene.replace(objects=objects, payload=payload))
 
 
 def with_opening(cell: Workcell, opening: float | Array) -> Workcell:
-    """The cell with each finger `opening` metres away from closed."""
+    """The cell with each finger at a distance `opening` [m] from its closed position."""
     return cell.replace(scene=cell.scene.replace(opening=jnp.asarray(opening, jnp.float32)))
 
 
 def with_support(cell: Workcell, bodies: tuple[str, ...]) -> Workcell:
-    """The cell in which the payload may touch the given fixtures (it stands on them)."""
-    known = cell.source.fixture_bodies
+    """The cell in which the payload may touch the given fixtures: it stands on them.
+
+    Args:
+        cell: any.
+        bodies: names of the fixtures' bodies; all others are obstacles to the payload again.
+
+    Raises:
+        UnknownNameError: no such fixture.
+    """
+    fixture_bodies = cell.source.fixture_bodies
     for body in bodies:
-        if body not in known:
-            raise UnknownNameError("fixture", body, set(known))
-    on = jnp.array([0.0 if b in bodies else 1.0 for b in known], jnp.float32)
-    return cell.replace(scene=cell.scene.replace(support_on=on))
+        if body not in fixture_bodies:
+            raise UnknownNameError("fixture", body, set(fixture_bodies))
+    support_on = jnp.array([0.0 if b in bodies else 1.0 for b in fixture_bodies], jnp.float32)
+    return cell.replace(scene=cell.scene.replace(support_on=support_on))

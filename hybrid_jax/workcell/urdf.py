@@ -11,19 +11,20 @@ import mujoco
 from hybrid_jax.errors import WorkcellError
 
 PACKAGE = "package://"
+"""How the name of a mesh begins that lies in a ROS package."""
 _VARIABLES = "ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH"
-"""Where ROS says its packages are."""
+"""Environment variables in which ROS lists the folders of its packages."""
 
 
 def read_urdf(path: Path, package_paths: Sequence[Path] = ()) -> mujoco.MjSpec:
-    """Read a URDF; limits of velocity stand in the joints' `user` data then, as in a cell's MJCF.
+    """Spec of a URDF, with velocity limits in the joints' `user` data as in a cell's MJCF.
 
     Args:
         path: of the file.
         package_paths: folders that hold ROS packages, looked at first.
 
     Raises:
-        WorkcellError: it is no XML, or a mesh's package or file is not found.
+        WorkcellError: the file is no XML, or the package or file of a mesh is not found.
         ValueError: MuJoCo cannot read it.
     """
     try:
@@ -34,9 +35,9 @@ def read_urdf(path: Path, package_paths: Sequence[Path] = ()) -> mujoco.MjSpec:
     _leave_visuals_out(robot, compiler)
     for mesh in robot.iter("mesh"):
         if "filename" in mesh.attrib:
-            found = _mesh_path(path, mesh.get("filename", ""), package_paths, compiler)
-            mesh.set("filename", str(found))
-    # the names are whole paths now
+            file = _mesh_path(path, mesh.get("filename", ""), package_paths, compiler)
+            mesh.set("filename", str(file))
+    # the meshes are named by whole paths now, which these two settings would change
     compiler.set("strippath", "false")
     compiler.attrib.pop("meshdir", None)
     spec = mujoco.MjSpec.from_string(ElementTree.tostring(robot, encoding="unicode"))
@@ -46,7 +47,7 @@ def read_urdf(path: Path, package_paths: Sequence[Path] = ()) -> mujoco.MjSpec:
 
 
 def _compiler(robot: ElementTree.Element) -> ElementTree.Element:
-    """MuJoCo's settings in a URDF; made where there are none."""
+    """Element of MuJoCo's compiler settings in a URDF; it is added where there is none."""
     extension = robot.find("mujoco")
     if extension is None:
         extension = ElementTree.SubElement(robot, "mujoco")
@@ -55,7 +56,7 @@ def _compiler(robot: ElementTree.Element) -> ElementTree.Element:
 
 
 def _leave_visuals_out(robot: ElementTree.Element, compiler: ElementTree.Element) -> None:
-    """Take visuals out where MuJoCo would discard them: their meshes may be missing."""
+    """Remove the visuals where MuJoCo would discard them: their meshes may be missing."""
     if compiler.get("discardvisual", "true") != "true":
         return
     for link in robot.iter("link"):
@@ -64,35 +65,35 @@ def _leave_visuals_out(robot: ElementTree.Element, compiler: ElementTree.Element
 
 
 def _state_velocities(spec: mujoco.MjSpec, robot: ElementTree.Element) -> None:
-    """Put velocity limits into the joints' `user` data; 0 stands for none that is stated."""
+    """Put velocity limits into the joints' `user` data; 0 where the URDF states none."""
     spec.nuser_jnt = 2
     for element in robot.iter("joint"):
         limit, joint = element.find("limit"), spec.joint(element.get("name", ""))
         if joint is None:
             continue
-        stated = "0" if limit is None else limit.get("velocity", "0")
+        velocity = "0" if limit is None else limit.get("velocity", "0")
         try:
-            joint.userdata = [float(stated), 0.0]
+            joint.userdata = [float(velocity), 0.0]
         except ValueError:
             raise WorkcellError(
-                f"joint {joint.name!r}: its velocity limit {stated!r} is no number"
+                f"joint {joint.name!r}: its velocity limit {velocity!r} is no number"
             ) from None
 
 
 def _mesh_path(
     urdf: Path, name: str, package_paths: Sequence[Path], compiler: ElementTree.Element
 ) -> Path:
-    """Where a mesh's file is: where MuJoCo's settings say, else where its name does.
+    """File of a mesh, where MuJoCo's settings say, else where the mesh's name says.
 
     Raises:
-        WorkcellError: it is nowhere; the message says where it was looked for.
+        WorkcellError: there is no such file; the message says where it was looked for.
     """
     folder = urdf.parent / compiler.get("meshdir", "")
-    bare = name.removeprefix("file://").removeprefix(PACKAGE)
-    stated = [folder / bare] if "meshdir" in compiler.attrib else []
+    relative = name.removeprefix("file://").removeprefix(PACKAGE)
+    candidates = [folder / relative] if "meshdir" in compiler.attrib else []
     if compiler.get("strippath") == "true":
-        stated.append(folder / Path(bare).name)
-    for path in stated:
+        candidates.append(folder / Path(relative).name)
+    for path in candidates:
         if path.is_file():
             return path.resolve()
     if not name.startswith(PACKAGE):
@@ -100,23 +101,25 @@ def _mesh_path(
         if not path.is_file():
             raise WorkcellError(f"{urdf.name}: the mesh {name} is missing: there is no {path}")
         return path.resolve()
-    package, _, inside = name.removeprefix(PACKAGE).partition("/")
+    package, _, member = name.removeprefix(PACKAGE).partition("/")
     for folder in _package_folders(urdf, package, package_paths):
-        if (folder / inside).is_file():
-            return (folder / inside).resolve()
+        if (folder / member).is_file():
+            return (folder / member).resolve()
     raise WorkcellError(
-        f"{urdf.name}: the mesh {name} is missing: no package {package!r} with {inside} is in or "
+        f"{urdf.name}: the mesh {name} is missing: no package {package!r} with {member} is in or "
         f"above {urdf.resolve().parent}, in --package-path, {' or '.join(_VARIABLES)}; name the "
         "folder that holds the package with --package-path"
     )
 
 
 def _package_folders(urdf: Path, package: str, package_paths: Sequence[Path]):
-    """Where a package may be: in what is named, around the file, where ROS has it."""
-    around = [urdf.resolve().parent, *urdf.resolve().parents]
-    named = [Path(folder) for folder in package_paths]
-    stated = [Path(p) for v in _VARIABLES for p in os.environ.get(v, "").split(os.pathsep) if p]
-    for folder in [*named, *around, *stated]:
+    """Folders that may be the package: those named, those around the URDF, those of ROS."""
+    parents = [urdf.resolve().parent, *urdf.resolve().parents]
+    user_folders = [Path(folder) for folder in package_paths]
+    ros_folders = [
+        Path(p) for v in _VARIABLES for p in os.environ.get(v, "").split(os.pathsep) if p
+    ]
+    for folder in [*user_folders, *parents, *ros_folders]:
         if folder.name == package:
             yield folder
         yield folder / package

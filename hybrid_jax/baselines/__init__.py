@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""The methods that the hybrid planner is compared with."""

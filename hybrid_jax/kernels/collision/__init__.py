@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Shapes, distances, clearance and proven motions."""

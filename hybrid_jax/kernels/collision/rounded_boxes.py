@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: MIT
+"""The cell's primitives as the collision kernels read them: components first, batch last.
+
+Rows are the robot's and the payload's primitives, capsules of both and then boxes of both. Columns
+are obstacles. In shapes `b` is the batch, or 1 for what all of it shares.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from hybrid_jax.kernels import vec3
+from hybrid_jax.kernels.collision.distance import FAR
+from hybrid_jax.kernels.kinematics import link_frames
+from hybrid_jax.kernels.vec3 import Vector
+from hybrid_jax.types import KinematicChain, Shapes, Workcell
+
+
+class RoundedBoxes(NamedTuple):
+    """Boxes swept by balls, in the world: blocks for short."""
+
+    centre: Vector
+    """`[3, n, b]` [m]."""
+    rotation: Vector
+    """`[3, 3, n, b]`, component before axis."""
+    half_extents: Vector
+    """`[3, n, b]` half extents [m]."""
+    extent: Vector
+    """`[3, n, b]` half extents of the enclosing box along the world's axes, without the ball."""
+    radius: Array
+    """`[n, b]` [m]; `-FAR` for an empty slot, which is thereby `FAR` from everything."""
+
+
+class Rows(NamedTuple):
+    """The robot's primitives in the world, as far as bounds and capsules need them."""
+
+    centre: Array
+    """`[3, row, b]` [m]."""
+    axis: Array
+    """`[3, row, b]` half the axis of a capsule: from the centre to an end [m]."""
+    extent: Array
+    """`[3, row, b]` as in `RoundedBoxes`."""
+    radius: Array
+    """`[row, b]` as in `RoundedBoxes`."""
+
+
+def _concatenate(parts: list[Array], axis: int) -> Array:
+    """Concatenate along a negative axis; axes before it broadcast, as shared with batched ones."""
+    lead = jnp.broadcast_shapes(*(p.shape[:axis] for p in parts))
+    return jnp.concatenate([jnp.broadcast_to(p, lead + p.shape[axis:]) for p in parts], axis)
+
+
+def join(a: Shapes, b: Shapes) -> Shapes:
+    """Two lists of primitives as one: capsules of both, then boxes of both.
+
+    Args:
+        a, b: leaves `[n, ...]` and `[m, ...]`, or `[1 or b, n or m, ...]` in a batch.
+
+    Returns:
+        Leaves `[n + m, ...]`, after the batch axis if there is one.
+    """
+
+    def both(x, y, axis):
+        parts = [
+            (x, slice(0, a.capsule_count)),
+            (y, slice(0, b.capsule_count)),
+            (x, slice(a.capsule_count, None)),
+            (y, slice(b.capsule_count, None)),
+        ]
+        tail = (slice(None),) * (-axis - 1)
+        return _concatenate([array[(..., rows, *tail)] for array, rows in parts], axis)
+
+    return Shapes(
+        pose=both(a.pose, b.pose, -2),
+        half_extents=both(a.half_extents, b.half_extents, -2),
+        radius=both(a.radius, b.radius, -1),
+        active=both(a.active, b.active, -1),
+        capsule_count=a.capsule_count + b.capsule_count,
+        all_spheres=(a.all_spheres or not a.count) and (b.all_spheres or not b.count),
+    )
+
+
+def joined_order(capsules: tuple[int, int], count: tuple[int, int]) -> list[int]:
+    """Where the primitives of two joined lists come from; the second list counts on.
+
+    Args:
+        capsules: how many of them are capsules, in the first and in the second list.
+        count: how many primitives there are, in the first and in the second list.
+
+    Returns:
+        Number of each primitive of `join` in the two lists, one after the other.
+    """
+    a, b = list(range(count[0])), list(range(count[0], count[0] + count[1]))
+    return a[: capsules[0]] + b[: capsules[1]] + a[capsules[0] :] + b[capsules[1] :]
+
+
+def world_shapes(cell: Workcell) -> Shapes:
+    """Fixtures and objects in the world as one list `[n, ...]`, as `join` makes it."""
+    return join(cell.fixtures, cell.scene.objects)
+
+
+def world_count(cell: Workcell) -> int:
+    """How many fixtures and objects there are."""
+    return cell.fixtures.count + cell.scene.objects.count
+
+
+def local_shapes(cell: Workcell) -> Shapes:
+    """Links, fingers and payload, each in the frame that carries it: `[row, ...]`.
+
+    Leaves of the cell may have a leading axis of 1 or b, which the result keeps.
+    """
+    shapes = cell.robot.shapes
+    # the opening moves fingers alone: any other primitive has no stroke
+    centre = shapes.pose[..., :3] + cell.scene.opening[..., None, None] * cell.robot.stroke
+    opened = shapes.replace(pose=_concatenate([centre, shapes.pose[..., 3:]], -1))
+    return join(opened, cell.scene.payload)
+
+
+def row_links(cell: Workcell) -> list[int]:
+    """Number of the frame that carries each row: a joint's, or that of the tool, the last one."""
+    robot, payload = cell.robot.shapes, cell.scene.payload
+    robot_links = list(cell.robot.link)
+    tool_links = [_joints(cell.chain)] * payload.count
+    order = joined_order(
+        (robot.capsule_count, payload.capsule_count), (len(robot_links), len(tool_links))
+    )
+    return [(robot_links + tool_links)[i] for i in order]
+
+
+def _joints(chain: KinematicChain) -> int:
+    return chain.axis.shape[-2]
+
+
+def _radius(shapes: Shapes) -> Array:
+    """Radii `[1 or b, n]` [m], so small in empty slots that these are far from everything."""
+    return jnp.where(shapes.active > 0, shapes.radius, -FAR)
+
+
+def _reach(rotation, half) -> list:
+    """Half extents [m] of the enclosing box along the world's axes, three components."""
+    return [sum(jnp.abs(rotation[i][k]) * half[k] for k in range(3)) for i in range(3)]
+
+
+def world_boxes(shapes: Shapes) -> RoundedBoxes:
+    """Fixtures or objects as blocks.
+
+    Args:
+        shapes: in the world, leaves `[1 or b, n, ...]`.
+
+    Returns:
+        Leaves `[..., n, 1 or b]`.
+    """
+    centre, rotation, half = _local(shapes)
+    extent = vec3.stack(_reach(rotation, half))
+    return RoundedBoxes(centre, vec3.stack(rotation), half, extent, _radius(shapes).T)
+
+
+def _local(shapes: Shapes):
+    """Centre `[3, n, b]` [m], rotation by components `[n, b]`, and half extents `[3, n, b]` [m]."""
+    pose = jnp.moveaxis(shapes.pose, 0, -1)  # [n, 7, b]
+    centre = jnp.swapaxes(pose[:, :3], 0, 1)
+    rotation = vec3.quat_matrix([pose[:, 3 + i] for i in range(4)])
+    return centre, rotation, jnp.moveaxis(shapes.half_extents, (0, 2), (2, 0))
+
+
+def robot_rows(cell: Workcell, q: Array) -> tuple[Rows, RoundedBoxes]:
+    """The robot's primitives in the world, and as blocks those that are needed whole.
+
+    Args:
+        cell: leaves `[1 or b, ...]`.
+        q: `[b, joint]` [rad or m].
+
+    Returns:
+        All rows, leaves `[..., row, b]`, and the blocks of `block_rows`, leaves `[..., n, b]`.
+    """
+    shapes = local_shapes(cell)
+    links, whole_rows = jnp.array(row_links(cell)), block_rows(cell)
+    positions, rotations = link_frames(cell.chain, q)
+    positions, to_world = (jnp.take(a, links, axis=-2, mode="clip") for a in (positions, rotations))
+    centre, rotation, half = _local(shapes)
+    radius = _radius(shapes).T
+    centre = vec3.stack(vec3.add(positions, vec3.turn(to_world, centre)))
+    axes = [vec3.turn(to_world, [rotation[i][k] * half[k] for i in range(3)]) for k in range(3)]
+    extent = vec3.stack([sum(jnp.abs(axis[i]) for axis in axes) for i in range(3)])
+    # a capsule lies along the z axis of its frame
+    rows = Rows(centre, vec3.stack(axes[2]), extent, radius)
+    parts = (centre, to_world, vec3.stack(rotation), half, extent, radius)
+    centre, to_world, rotation, half, extent, radius = (_some(a, whole_rows) for a in parts)
+    axes = [vec3.turn(to_world, rotation[:, k]) for k in range(3)]
+    rotation = vec3.stack([[axes[k][i] for k in range(3)] for i in range(3)])
+    return rows, RoundedBoxes(centre, rotation, half, extent, radius)
+
+
+def _some(array: Array, rows: list[int]) -> Array:
+    """Rows `[..., n, b]` by their numbers, as slices: a CPU copies these faster than it gathers."""
+    if not rows:
+        return array[..., :0, :]
+    return jnp.stack([array[..., r, :] for r in rows], axis=-2)
+
+
+def block_rows(cell: Workcell) -> list[int]:
+    """Numbers of the rows that are needed whole: the cover of the self pairs, then all boxes."""
+    capsule_count = cell.robot.shapes.capsule_count + cell.scene.payload.capsule_count
+    count = cell.robot.shapes.count + cell.scene.payload.count
+    return list(cell.pairs.cover) + list(range(capsule_count, count))

@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: MIT
+"""Collect the infeasible segments that RL-LfD leaves on random tasks (Algorithm 1, lines 4-7).
+
+They are what the joint agent trains on, and its only training data.
+"""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hybrid_jax.contracts import Segments, SkillChooser
+from hybrid_jax.errors import InputError
+from hybrid_jax.planner.branch_selection import TASKS_PER_CALL, Leg, Routes, label_paths
+from hybrid_jax.planner.lfd import skill_paths
+from hybrid_jax.planner.path_ik import PathIkConfig
+from hybrid_jax.planner.phase_scenes import task_scenes
+from hybrid_jax.skills.library import SkillConfig, SkillLibrary
+from hybrid_jax.tasks.registry import random_task
+from hybrid_jax.tasks.task import Task
+from hybrid_jax.types import Scene, Workcell
+
+ROUTES = 2
+"""Routes of a task whose gaps are collected: the second uses none of the first one's gaps."""
+
+
+def gaps_of(routes: Routes, scenes: Scene) -> list[Segments]:
+    """Infeasible segments on the `ROUTES` cheapest routes of one task.
+
+    Args:
+        routes: the task's legs; those that have gaps here are forbidden in it afterwards.
+        scenes: of each unit segment, leaves `[segment, ...]`.
+
+    Returns:
+        The gaps as problems of the joint agent, see `gap_segment`.
+    """
+    gaps = []
+    for _ in range(ROUTES):
+        names = routes.cheapest()
+        legs = [leg for leg in map(routes.leg, names or []) if leg.has_gap]
+        gaps += [gap_segment(leg, scenes) for leg in legs]
+        for leg in legs:
+            routes.forbid(leg.name)
+    return gaps
+
+
+def gap_segment(leg: Leg, scenes: Scene) -> Segments:
+    """The gap of a leg as one problem of the joint agent.
+
+    Args:
+        leg: the leg, which has a gap.
+        scenes: of each unit segment of the task, leaves `[segment, ...]`.
+
+    Returns:
+        Scene, start `[joint]` and goal `[joint]` [rad or m], without a leading axis.
+    """
+    scene = jax.tree.map(lambda a: a[leg.name[0]], scenes)
+    return Segments(scene, leg.q[leg.first], leg.q[leg.last])
+
+
+def harvest(
+    cell: Workcell,
+    library: SkillLibrary,
+    choose: SkillChooser,
+    skills: SkillConfig,
+    labels: PathIkConfig,
+    scale: float,
+    *,
+    tasks: range,
+    seed: int,
+    progress: Callable[[int, int], None] | None = None,
+) -> Segments:
+    """Infeasible segments of random tasks: the training data of the joint agent.
+
+    Args:
+        cell: robot and fixtures.
+        library: the skills.
+        choose: picks segments and skills of a task.
+        skills: how skills are judged and mapped.
+        labels: thresholds of feasible way points.
+        scale: manipulability that counts as 1.
+        tasks: seeds of the tasks; those used for training are never evaluated on.
+        seed: draws the seeds of inverse kinematics.
+        progress: called with (tasks done, tasks in all).
+
+    Returns:
+        All segments, stacked: start and goal `[segment, joint]` [rad or m].
+
+    Raises:
+        InputError: no task left an infeasible segment: there is nothing to train on.
+    """
+    segments: list[Segments] = []
+    for part, first in enumerate(range(0, len(tasks), TASKS_PER_CALL)):
+        batch = tasks[first : first + TASKS_PER_CALL]
+        key = jax.random.fold_in(jax.random.key(seed), part)
+        segments += task_gaps(
+            cell,
+            library,
+            [random_task(cell, number) for number in batch],
+            choose,
+            skills,
+            labels,
+            scale,
+            key,
+        )
+        if progress:
+            progress(first + len(batch), len(tasks))
+    if not segments:
+        raise InputError(
+            f"none of {len(tasks)} random tasks left an infeasible segment to train on: either the "
+            "skills alone suffice, or they cover none of these tasks. What they lack is said by: "
+            "python -m hybrid_jax.check CELL --tasks 5 --skills DIR"
+        )
+    return jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *segments)
+
+
+def task_gaps(
+    cell: Workcell,
+    library: SkillLibrary,
+    tasks: list[Task],
+    choose: SkillChooser,
+    skills: SkillConfig,
+    labels: PathIkConfig,
+    scale: float,
+    key,
+) -> list[Segments]:
+    """Infeasible segments of tasks, see `harvest`.
+
+    A task that skills do not cover leaves none.
+
+    Returns:
+        The gaps, each without a leading axis: start and goal `[joint]` [rad or m].
+    """
+    paths = [options[0] for options in skill_paths(library, tasks, choose, skills)]
+    covered = [(task, path) for task, path in zip(tasks, paths, strict=True) if path.plan]
+    # tasks with equally many segments, and all with or all without an end, are labelled together
+    kinds = [(len(path.poses), task.end is None) for task, path in covered]
+    gaps = []
+    for number, kind in enumerate(sorted(set(kinds))):
+        rows = [row for row, row_kind in zip(covered, kinds, strict=True) if row_kind == kind]
+        scenes = [task_scenes(cell, task) for task, _ in rows]
+        routes = label_paths(
+            cell,
+            [task for task, _ in rows],
+            scenes,
+            [path.poses for _, path in rows],
+            scale,
+            jax.random.fold_in(key, number),
+            labels,
+        )
+        for task_routes, scene in zip(routes, scenes, strict=True):
+            gaps += gaps_of(task_routes, scene)
+    return gaps

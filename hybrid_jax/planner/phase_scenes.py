@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: MIT
+"""Scenes of the segments of a task: where the objects lie, what is held, what it may touch."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+
+from hybrid_jax.planner.trajectory_check import PhaseScene
+from hybrid_jax.tasks.handling import object_in_tool, placed_pose, require_handling
+from hybrid_jax.tasks.scene_sampling import require_task_data
+from hybrid_jax.tasks.task import Task
+from hybrid_jax.types import Scene, Workcell
+from hybrid_jax.workcell import scene as scenes
+from hybrid_jax.workcell.layout import home_qpos
+
+REACHING, CARRYING, LEAVING, TRANSFERRING = range(4)
+"""Kinds of segments: before the object is held; while it is lifted or put down, and may touch its
+support; once it lies in its tray; while it is held in between, and may touch nothing."""
+
+
+def segment_kinds(task: Task) -> np.ndarray:
+    """Kind of each unit segment of a task: `[segment]`, `REACHING` to `TRANSFERRING`."""
+    held = np.array(task.carrying)
+    kinds = np.where(held, CARRYING, np.where(np.cumsum(held) > 0, LEAVING, REACHING))
+    # the first segment with the object lifts it and the last puts it down: both touch the support
+    kinds[np.flatnonzero(held)[1:-1]] = TRANSFERRING
+    return kinds
+
+
+@functools.partial(jax.jit, static_argnames=("name", "grasp", "support"))
+def kind_scenes(
+    cell: Workcell,
+    poses: Float[Array, "object 7"],
+    put: Float[Array, "7"],
+    *,
+    name: str,
+    grasp: int,
+    support: tuple[str, ...],
+) -> Scene:
+    """Scenes of the four kinds of segments, stacked in their order.
+
+    Args:
+        cell: the cell, in any scene.
+        poses: `[object, 7]` where the objects lie at first: position [m], quaternion.
+        put: `[7]` where the carried object lies in the end.
+        name: object to be carried.
+        grasp: which of its grasps is used.
+        support: fixtures that it may touch where it is lifted and put down.
+
+    Returns:
+        Scenes with a leading axis `[kind]`.
+    """
+    data = require_handling(cell)
+    spec, index = data.object(name), scenes.object_index(cell, name)
+    cell_before = scenes.with_opening(scenes.place_objects(cell, poses), data.gripper.open)
+    in_tool = jnp.asarray(object_in_tool(spec, grasp), jnp.float32)
+    held_cell = scenes.with_opening(scenes.attach(cell_before, name, in_tool), spec.grip)
+    final_poses = poses.at[index].set(put)
+    cell_after = scenes.with_opening(scenes.place_objects(cell, final_poses), data.gripper.open)
+    on_support, lifted = scenes.with_support(held_cell, support), scenes.with_support(held_cell, ())
+    # the kinds of segments are indices into this order
+    return stack_scenes([c.scene for c in (cell_before, on_support, cell_after, lifted)])
+
+
+def _open(cell: Workcell) -> float:
+    """Opening of each finger while nothing is held [m]; 0 where there is no gripper."""
+    gripper = require_task_data(cell).gripper
+    return gripper.open if gripper else 0.0
+
+
+@jax.jit
+def _resting_scene(cell: Workcell, poses: Float[Array, "object 7"]) -> Scene:
+    """The scene with objects at `poses` `[object, 7]` while nothing is held."""
+    return scenes.with_opening(scenes.place_objects(cell, poses), _open(cell)).scene
+
+
+def task_scenes(cell: Workcell, task: Task) -> Scene:
+    """Scenes of the unit segments of a task, for the kernels.
+
+    Returns:
+        Scenes with a leading axis `[segment]`, on the host.
+    """
+    poses = jnp.asarray(task.object_poses, jnp.float32)
+    if not any(task.carrying):
+        scene, count = jax.device_get(_resting_scene(cell, poses)), len(task.carrying)
+        return jax.tree.map(lambda a: np.broadcast_to(a, (count, *a.shape)), scene)
+    put = jnp.asarray(placed_pose(cell, task), jnp.float32)
+    kind_stack = kind_scenes(
+        cell, poses, put, name=task.object_name, grasp=task.grasp, support=task.support
+    )
+    kind_stack, kinds = jax.device_get(kind_stack), segment_kinds(task)
+    return jax.tree.map(lambda a: a[kinds], kind_stack)
+
+
+def phase_scene(cell: Workcell, task: Task, kind: int) -> PhaseScene:
+    """The scene of one kind of segments, for the final check.
+
+    The check knows nothing of the kernels' scenes (see `trajectory_check`).
+
+    Args:
+        cell: the cell of the task.
+        task: what is done.
+        kind: one of `REACHING`, `CARRYING`, `LEAVING`, `TRANSFERRING`.
+
+    Returns:
+        Poses of the objects `[object, 7]`, the opening, and what is held how.
+    """
+    poses = np.array(task.object_poses)
+    if kind == LEAVING:
+        index = cell.source.layout.object_names.index(task.object_name)
+        poses[index] = placed_pose(cell, task)
+    if kind in (REACHING, LEAVING):
+        return PhaseScene(poses, _open(cell), None, None, ())
+    spec = require_handling(cell).object(task.object_name)
+    in_tool, support = object_in_tool(spec, task.grasp), task.support if kind == CARRYING else ()
+    return PhaseScene(poses, spec.grip, task.object_name, in_tool, support)
+
+
+def home_scene(cell: Workcell) -> PhaseScene:
+    """The scene of the keyframe `home`, for the final check: nothing is held."""
+    qpos, layout, model = home_qpos(cell.model), cell.source.layout, cell.model
+    poses = np.array([qpos[a : a + 7] for a in layout.object_qpos]).reshape(-1, 7)
+    fingers = [float(qpos[model.jnt_qposadr[j]]) for j in layout.fingers]
+    return PhaseScene(poses, fingers[0] if fingers else 0.0, None, None, ())
+
+
+def in_scene(cell: Workcell, scene: PhaseScene) -> Workcell:
+    """The cell for the kernels, in a scene that is described for the final check."""
+    if cell.source.layout.object_names:
+        cell = scenes.place_objects(cell, jnp.asarray(scene.poses, jnp.float32))
+    cell = scenes.with_opening(cell, scene.opening)
+    if scene.held is None:
+        return cell
+    in_tool = jnp.asarray(scene.held_in_tool, jnp.float32)
+    return scenes.with_support(scenes.attach(cell, scene.held, in_tool), scene.support)
+
+
+def inside(cell: Workcell, scenes: Scene, index: int) -> Workcell:
+    """The cell in one of several stacked scenes (leaves `[scene, ...]`)."""
+    return cell.replace(scene=jax.tree.map(lambda a: a[index], scenes))
+
+
+def stack_scenes(found: list[Scene]) -> Scene:
+    """Scenes stacked along a new leading axis `[scene]`."""
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *found)

@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: MIT
+"""Motions from one joint configuration to another: search, shorten, smooth, time, check.
+
+This is the layer under the hybrid planner, without skills and agents, for any cell.
+"""
+
+from dataclasses import dataclass, replace
+
+import jax
+import numpy as np
+from jaxtyping import Float, PRNGKeyArray
+
+from hybrid_jax.contracts import PlanResult
+from hybrid_jax.kernels.argument_checks import single_precision
+from hybrid_jax.kernels.collision.motion_validation import path_is_free
+from hybrid_jax.planner import smoothing
+from hybrid_jax.planner.phase_scenes import home_scene, in_scene
+from hybrid_jax.planner.rrt_connect import RrtConfig, plan_paths
+from hybrid_jax.planner.smoothing import SmoothingConfig
+from hybrid_jax.planner.task_validation import kernels_touch, within_limits
+from hybrid_jax.planner.timing import RESTING, TimingConfig, resting
+from hybrid_jax.planner.trajectory_check import CheckConfig, ConfigurationChecker, PhaseScene
+from hybrid_jax.planner.trajectory_generation import motion_faults, time_path
+from hybrid_jax.planner.turns import nearest_goal, rewound, turns_from, unlimited
+from hybrid_jax.runtime.keys import fold_in
+from hybrid_jax.types import Source, Status, Workcell
+
+QUICK = RrtConfig(workers=16, margin=0.001, capacity=512, calls=150)
+"""A quick search, which finds most motions. The trees are small because each call of the kernel
+costs time for their whole capacity."""
+THOROUGH = replace(
+    QUICK, capacity=4096, calls=1000, samples=16, spacing=QUICK.spacing / 2, spread=np.inf
+)
+"""A search in all of joint space, in steps so small that they seldom miss a thin obstacle."""
+
+
+@dataclass(frozen=True)
+class JointMotionConfig:
+    """Settings of motions from one configuration to another."""
+
+    searches: tuple[RrtConfig, ...] = (QUICK, THOROUGH, THOROUGH, THOROUGH)
+    """Tried in turn, each with a random key of its own."""
+    margin: float = 0.0002
+    """Clearance that a path must be proven to keep on all its edges [m]."""
+    tolerance: float = 0.0003
+    """A path that comes this close to `margin` counts as blocked; a smaller value takes longer to
+    prove [m]."""
+    smoothing: SmoothingConfig = SmoothingConfig(margin=0.001, shortcut_rounds=12)
+    """Shortcuts and smoothing of the path."""
+    timing: TimingConfig = TimingConfig()
+    """Speeds and sampling of the trajectory."""
+    check: CheckConfig = CheckConfig()
+    """What the trajectory must keep."""
+
+
+def find_path(
+    cell: Workcell, start: np.ndarray, goal: np.ndarray, config: JointMotionConfig, key
+) -> np.ndarray | None:
+    """Search for a path from one configuration to another, free of collision on all its edges.
+
+    Args:
+        cell: robot and fixtures, in the scene of the motion.
+        start: `[joint]` [rad or m].
+        goal: `[joint]` [rad or m].
+        config: searches and margin.
+        key: consumed.
+
+    Returns:
+        Way points `[point, joint]` [rad or m]; None if no search finds a path.
+    """
+    scene = jax.tree.map(lambda a: np.asarray(a)[None], cell.scene)
+    ends = start[None].astype(np.float32), goal[None].astype(np.float32)
+    for attempt, search in enumerate(config.searches):
+        path = plan_paths(cell, scene, *ends, search, key=fold_in(key, attempt))[0]
+        if path is None:
+            continue
+        # the search checks samples only and may step over a thin obstacle
+        if path_is_free(cell, path, config.margin, config.tolerance):
+            return path
+    return None
+
+
+def _admit(checker: ConfigurationChecker, cell: Workcell, scene: PhaseScene, start, goal):
+    """Start and goal as they can be planned, what was changed, and a refusal or None.
+
+    Both C MuJoCo and the kernels must find them free; the kernels' primitives contain the solids.
+    """
+    ends, notes = [], []
+    statuses = (("start", Status.START_INVALID), ("goal", Status.INVALID_TASK))
+    for (name, status), q in zip(statuses, (start, goal), strict=True):
+        q, note, fault = within_limits(cell, np.asarray(q), name)
+        if fault:
+            return ends, "", PlanResult(status, fault)
+        ends, notes = [*ends, q], [*notes, note]
+    checker.enter(scene)
+    for name, status, q in (
+        ("start", Status.START_INVALID, ends[0]),
+        ("goal", Status.TASK_INFEASIBLE, ends[1]),
+    ):
+        touched = checker.collision(q) or kernels_touch(cell, q)
+        if touched:
+            return ends, "", PlanResult(status, f"the {name} is not free: {touched}")
+    return ends, " ".join(filter(None, notes)), None
+
+
+@single_precision
+def plan_joint_motion(
+    cell: Workcell,
+    start: Float[np.ndarray, " n"],
+    goal: Float[np.ndarray, " n"],
+    config: JointMotionConfig = JointMotionConfig(),
+    *,
+    key: PRNGKeyArray,
+    scene: PhaseScene | None = None,
+) -> PlanResult:
+    """Plan a smooth, timed, checked motion from one configuration to another.
+
+    Args:
+        cell: any cell; the scene that it is in does not matter.
+        start: `[joint]` [rad or m]; joints without limits may have any reading.
+        goal: `[joint]` [rad or m]; joints without limits go the shorter way to it.
+        config: settings.
+        key: consumed.
+        scene: where objects and fingers are, and what is held; as in the model's keyframe `home`
+            if None.
+
+    Returns:
+        One trajectory of way points `[point, joint]` [rad or m] if the status is OK; it has passed
+        the same final check as every plan, and is at rest where start and goal are the same. Bad
+        ends raise nothing: the status says which is at fault.
+    """
+    checker, scene = ConfigurationChecker(cell, config.check), scene or home_scene(cell)
+    scene_cell = in_scene(cell, scene)
+    start, goal, turns = _near_home(cell, start, goal)
+    ends, note, refusal = _admit(checker, scene_cell, scene, start, goal)
+    if refusal:
+        return refusal
+    start, goal = ends
+    result = _plan_between(scene_cell, checker, scene, start, goal, config, key)
+    if result.status is Status.OK:
+        result = replace(result, detail=f"{result.detail} {note}".strip())
+    return rewound(cell, result, turns) or result
+
+
+def _near_home(cell: Workcell, start, goal) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Start and goal in readings near home, and the turns that were taken off, each `[joint]`.
+
+    Joints without limits then start within half a turn of home and go the shorter way.
+    """
+    start, goal = np.asarray(start, float), np.asarray(goal, float)
+    if start.shape != cell.home.shape or goal.shape != start.shape:
+        return start, goal, np.zeros(1)  # for `within_limits` to refuse
+    if not (np.isfinite(start) & np.isfinite(goal)).all():
+        return start, goal, np.zeros(1)
+    turns = np.where(unlimited(cell), turns_from(cell, start, np.asarray(cell.home)), 0.0)
+    return start - turns, nearest_goal(cell, start - turns, goal), turns
+
+
+def _plan_between(
+    cell: Workcell,
+    checker: ConfigurationChecker,
+    scene: PhaseScene,
+    start,
+    goal,
+    config: JointMotionConfig,
+    key,
+) -> PlanResult:
+    """A checked motion between two free configurations `[joint]`."""
+    if np.abs(goal - start).max() < RESTING:
+        return PlanResult(Status.OK, Status.OK.sentence, [resting(cell, start, goal, Source.RRT)])
+    path = find_path(cell, start, goal, config, key)
+    if path is None:
+        detail = f"no path was found from start to goal in {len(config.searches)} searches"
+        return PlanResult(Status.NO_PATH, detail)
+    # the search works in single precision: the ends are put back exactly
+    path = np.concatenate([start[None], path[1:-1], goal[None]])
+    shortened = smoothing.shortcut(cell, path, config.smoothing.margin, config.smoothing)
+    result = PlanResult(Status.SEAM_FAILED, Status.SEAM_FAILED.sentence)
+    for candidate in (shortened, path):
+        marks = np.full(len(candidate), Source.RRT, np.uint8)
+        trajectory = time_path(cell, candidate, marks, config.smoothing, config.timing)
+        if trajectory is None:
+            continue
+        faults = motion_faults(cell, checker, scene, trajectory)
+        if not faults:
+            return PlanResult(Status.OK, Status.OK.sentence, [trajectory])
+        result = PlanResult(Status.COLLISION, "; ".join(faults))
+    return result

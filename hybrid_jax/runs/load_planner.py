@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: MIT
+"""Assemble a planner from the files of a run."""
+
+import functools
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+
+from hybrid_jax.agents import dqn, joint, networks, switching
+from hybrid_jax.contracts import Bridger, SkillChooser, Switcher
+from hybrid_jax.demonstrations.demonstration import load_demonstrations
+from hybrid_jax.errors import RunFolderError
+from hybrid_jax.feasibility.building import load_map
+from hybrid_jax.kernels.argument_checks import single_precision
+from hybrid_jax.planner.lfd import optimal_chooser
+from hybrid_jax.planner.records import Planner
+from hybrid_jax.runs.run_folder import Run
+from hybrid_jax.runtime import artifacts
+from hybrid_jax.skills.library import SkillLibrary, build_library
+from hybrid_jax.workcell.assets import demonstrations_folder
+
+
+@functools.lru_cache(maxsize=4)
+def read_library(folder: Path | None = None) -> SkillLibrary:
+    """Skills of a folder of demonstrations, of the shipped ones if None; poses `[skill, n, 8]`."""
+    return build_library(load_demonstrations(folder or demonstrations_folder()))
+
+
+def read_scale(run: Run) -> float:
+    """Manipulability that counts as man' = 1, from the run's map."""
+    return float(load_map(run.path("map.npz"), run.cell).manipulability_scale)
+
+
+def load_policy(
+    run: Run, name: str, kind: str, net: networks.ActorCritic, observations: int
+) -> networks.Policy:
+    """Read a trained policy of the run.
+
+    Args:
+        run: whose file is read.
+        name: of the file.
+        kind: of the record in it.
+        net: networks of the policy.
+        observations: length of an observation.
+
+    Raises:
+        RunFolderError: the file is missing, damaged, of another cell or of other networks.
+    """
+    _, state = run.load(name, kind)
+    template = networks.blank_policy(net, observations)
+    return jax.tree.map(jnp.asarray, artifacts.restore(template, state, str(run.path(name))))
+
+
+def optimal_switcher(config: switching.SwitchConfig) -> Switcher:
+    """A `Switcher` that chooses exactly: both motions of a phase to choices `[STEPS]`."""
+    return lambda combined: switching.optimal_switching(combined, config)[0]
+
+
+def learned_switcher(run: Run) -> Switcher:
+    """The trained switching agent as a `Switcher`: a phase's two motions to choices `[STEPS]`."""
+    config, joints = run.preset.switch, run.cell.home.size
+    net = switching.make_net(joints, config)
+    policy = load_policy(
+        run, "switch.npz", "switching agent", net, switching.SwitchEnv.observation_length(joints)
+    )
+    return switching.make_switcher(net, policy, config)
+
+
+def load_bridger(run: Run, name: str = "drl.npz") -> Bridger:
+    """A trained joint agent as a `Bridger`: segments and a key to way points `[point, joint]`."""
+    cell, config = run.cell, run.preset.joint
+    net = joint.make_net(cell, config)
+    policy = load_policy(run, name, "joint agent", net, joint.observation_length(cell, config))
+    return joint.make_bridger(cell, net, policy, config)
+
+
+def load_chooser(run: Run) -> SkillChooser:
+    """The task planner that the run's preset asks for: exact, or the trained controllers."""
+    if run.preset.task_planner == "exact":
+        return optimal_chooser
+    return load_learned_chooser(run)
+
+
+def load_learned_chooser(run: Run) -> SkillChooser:
+    """The trained controllers of the hierarchical DQN, whatever the preset plans with."""
+    _, state = run.load("lfd.npz", "hierarchical DQN")
+    return dqn.make_chooser(run.preset.dqn, jax.tree.map(jnp.asarray, state))
+
+
+@single_precision
+def load_planner(run: Run, *, switch: str = "learned") -> Planner:
+    """Assemble the planner of a run from its finished stages.
+
+    It needs the stages map and drl, and those of the agents that it plans with.
+
+    Args:
+        run: from `open_run`.
+        switch: `learned` for the run's switching agent, `optimal` for exact switching.
+
+    Returns:
+        A planner for `plan_motion` and `plan_batch`.
+
+    Raises:
+        RunFolderError: a stage is missing: the message says which.
+    """
+    # the stages of agents count only where the planner uses them
+    learned_stages = ("lfd",) * (run.preset.task_planner == "learned")
+    for stage in ("map", *learned_stages, "drl", *("switch",) * (switch == "learned")):
+        if not run.finished(stage):
+            raise RunFolderError(
+                f"{run.folder} lacks the stage {stage!r} ({stage}.npz is missing); "
+                f"finish it with: python -m hybrid_jax.train --resume --out "
+                f"{run.folder}"
+            )
+    preset, cell = run.preset, run.cell
+    return Planner(
+        cell=cell,
+        library=read_library(run.skills),
+        choose=load_chooser(run),
+        bridge=load_bridger(run),
+        switch=learned_switcher(run) if switch == "learned" else optimal_switcher(preset.switch),
+        scale=read_scale(run),
+        config=preset.planner,
+    )

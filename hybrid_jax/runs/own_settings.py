@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: MIT
+"""Settings that a user asks for: a preset, changed by a file and by options."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import tyro
+
+from hybrid_jax.errors import InputError, RunFolderError, UnknownNameError
+from hybrid_jax.runs.presets import PRESETS, Preset
+from hybrid_jax.runs.run_folder import Run
+from hybrid_jax.runs.settings import as_values, differences, from_values, merged
+from hybrid_jax.runtime.input_files import read_text
+
+
+def find_preset(name: str) -> Preset:
+    """Find a preset by name.
+
+    Raises:
+        UnknownNameError: no such preset.
+    """
+    if name not in PRESETS:
+        raise UnknownNameError("preset", name, PRESETS)
+    return PRESETS[name]
+
+
+def changed(preset: Preset, file: Path | None, options: tuple[str, ...]) -> Preset:
+    """A preset with the settings of a file, then those of options.
+
+    Args:
+        preset: to begin with.
+        file: JSON with some or all settings, or a run's `config.json`.
+        options: of the command line, as `--joint.training.steps 500000`.
+
+    Raises:
+        InputError: a setting that does not exist or does not fit; the message names it.
+    """
+    if file:
+        values = merged(as_values(preset), _read(file), str(file))
+        preset = from_values(Preset, values, str(file))
+    if not options:
+        return preset
+    plain = tyro.conf.AvoidSubcommands, tyro.conf.FlagCreatePairsOff
+    return tyro.cli(Preset, default=preset, args=options, prog="settings:", config=plain)
+
+
+def as_file(preset: Preset) -> str:
+    """All settings as text that `changed` reads back."""
+    return json.dumps(as_values(preset), indent=1)
+
+
+def _read(file: Path) -> dict:
+    try:
+        values = json.loads(read_text(file, InputError))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{file}: {error}") from None
+    is_run_config = isinstance(values, dict) and "configuration" in values
+    return values["configuration"] if is_run_config else values
+
+
+def refuse_other_settings(
+    run: Run, asked: dict, file: Path | None, options: tuple[str, ...]
+) -> None:
+    """Raise if a run is to be continued with other settings than its own.
+
+    Args:
+        run: that is continued.
+        asked: requested values of the run's fields by name, None where there was no request.
+        file, options: see `changed`.
+
+    Raises:
+        RunFolderError: something else was asked for; the message names it.
+    """
+    current = {field.name: getattr(run, field.name) for field in dataclasses.fields(run)}
+    changes = [(k, current[k], v) for k, v in asked.items() if v not in (None, current[k])]
+    changes += differences(run.preset, changed(run.preset, file, options))
+    for name, old, new in changes[:1]:
+        raise RunFolderError(
+            f"{run.folder} was begun with {name} {old!r}, not {new!r}, and keeps its settings: "
+            "leave that out to go on with it, or start a new run"
+        )

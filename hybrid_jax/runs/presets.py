@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: MIT
+"""Named sets of settings."""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from hybrid_jax.agents.dqn import DqnConfig
+from hybrid_jax.agents.joint import JointAgentConfig
+from hybrid_jax.agents.ppo import PpoConfig
+from hybrid_jax.agents.switching import SwitchConfig
+from hybrid_jax.envs.paper_reach import PaperReachConfig
+from hybrid_jax.feasibility.grid import MapConfig
+from hybrid_jax.planner.records import PlannerConfig
+from hybrid_jax.skills.library import SkillConfig
+
+
+@dataclass(frozen=True)
+class Preset:
+    """Settings of all stages of a run."""
+
+    map: MapConfig = MapConfig()
+    dqn: DqnConfig = DqnConfig()
+    joint: JointAgentConfig = JointAgentConfig()
+    switch: SwitchConfig = SwitchConfig()
+    planner: PlannerConfig = PlannerConfig()
+    task_planner: Literal["exact", "learned"] = "exact"
+    """Method that segments a task and picks skills: shortest path, or the hierarchical DQN."""
+    tasks: int = 100
+    """Number of random tasks from which the agents' training data come."""
+    held_out: int = 20
+    """Number of further tasks, on which nothing is trained."""
+    switch_tasks: int = 24
+    """Number of training tasks whose combined trajectories the switching agent sees."""
+    demo_objects: int = 5
+    """Number of objects in the demonstration at the end."""
+
+
+DEFAULT = Preset(
+    joint=replace(
+        JointAgentConfig(), training=replace(JointAgentConfig().training, steps=2_000_000)
+    ),
+)
+"""The recommended settings; a run ends in a few minutes on two cores."""
+
+PAPER_DQN = DqnConfig(discount=0.92, polyak=0.005, learning_rate=1e-4, anneal=False)
+"""The paper's table of the DQN; batch and exploration are the defaults."""
+
+PAPER = Preset(
+    dqn=PAPER_DQN,
+    task_planner="learned",
+    map=MapConfig(spacing=0.1, tilts=(-0.6, -0.3, 0.0, 0.3, 0.6)),
+    joint=JointAgentConfig(
+        training=PpoConfig(
+            steps=1_000_000,
+            envs=128,
+            unroll=16,
+            epochs=10,
+            minibatch=64,
+            learning_rate=3e-4,
+            discount=0.99,
+            entropy=0.0,
+            hidden=(64, 64),
+        ),
+        reach=PaperReachConfig(),
+        rollouts=(4,),
+    ),
+    switch=SwitchConfig(
+        jump=0.0,
+        switch=0.0,
+        collision=1.0,
+        training=PpoConfig(
+            steps=2_000_000,
+            envs=16,
+            unroll=200,
+            epochs=10,
+            minibatch=32,
+            learning_rate=1e-3,
+            discount=0.96,
+            entropy=0.0,
+            hidden=(64, 64),
+        ),
+    ),
+    planner=PlannerConfig(
+        skills=SkillConfig(map="ugp_blend", distance="euclidean"),
+        quick_path_ik=None,
+        attempts=1,  # the paper has one route, ...
+        fallback=None,  # ... and no planner behind its agents
+    ),
+)
+"""The paper's tables, maps and distances; see docs/differences.md for what still differs."""
+
+SMOKE = Preset(
+    map=MapConfig(spacing=0.3, tilts=(0.0,), yaws=(0.0,), batch=256),
+    dqn=DqnConfig(rounds=24, updates=4),
+    joint=replace(
+        JointAgentConfig(),
+        training=PpoConfig(steps=16_384, envs=64, unroll=32, minibatch=512, hidden=(32, 32)),
+        rollouts=(8,),
+    ),
+    switch=replace(
+        SwitchConfig(),
+        training=PpoConfig(steps=6_400, envs=16, unroll=50, minibatch=200, hidden=(32, 32)),
+    ),
+    tasks=4,
+    held_out=2,
+    switch_tasks=4,
+    demo_objects=1,
+)
+"""Settings for tests: every stage runs once and learns next to nothing."""
+
+PRESETS = {"default": DEFAULT, "paper": PAPER, "smoke": SMOKE}
+"""Presets by name."""

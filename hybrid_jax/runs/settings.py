@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: MIT
+"""Settings as plain values and back, as `config.json` keeps them.
+
+Where a field may hold records of several classes, `kind` names the class.
+"""
+
+import types
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from hybrid_jax.errors import InputError, shortened
+
+T = TypeVar("T")
+LARGEST = 1e300
+"""A number beyond which nothing can be computed."""
+KIND = "kind"
+"""Field that names the class of a record where several may stand."""
+
+
+def as_values(settings) -> dict:
+    """A frozen dataclass of settings as dictionaries, lists, numbers and texts."""
+    values = {}
+    for name, hint in get_type_hints(type(settings)).items():
+        value = getattr(settings, name)
+        if is_dataclass(value):
+            named = {KIND: type(value).__name__} if len(_records(hint)) > 1 else {}
+            values[name] = named | as_values(value)
+        else:
+            values[name] = list(value) if isinstance(value, tuple) else value
+    return values
+
+
+def from_values(kind: type[T], values: Any, where: str) -> T:
+    """Settings from plain values; the inverse of `as_values`.
+
+    Args:
+        kind: frozen dataclass.
+        values: of all its fields.
+        where: name of the settings in messages.
+
+    Returns:
+        An instance of `kind`.
+
+    Raises:
+        InputError: a field is missing, unknown or of another type; the message names it.
+    """
+    if not isinstance(values, dict):
+        raise InputError(f"{where} must be a table of settings, got {shortened(repr(values))}")
+    hints = get_type_hints(kind)
+    for name in sorted(set(values) ^ set(hints)):
+        fault = "is missing" if name in hints else f"is unknown; there are: {', '.join(hints)}"
+        raise InputError(f"{where}.{name} {fault}")
+    return kind(**{n: _field(hints[n], values[n], f"{where}.{n}") for n in hints})
+
+
+def differences(ours, others, where: str = "") -> Iterator[tuple[str, Any, Any]]:
+    """Fields in which two settings of one class differ: dotted name, first and second value."""
+    for field in fields(ours):
+        name, a, b = f"{where}{field.name}", getattr(ours, field.name), getattr(others, field.name)
+        if is_dataclass(a) and type(a) is type(b):
+            yield from differences(a, b, f"{name}.")
+        elif a != b:
+            yield name, a, b
+
+
+def merged(values: dict, changes: Any, where: str) -> dict:
+    """Values with some of them changed: `{"joint": {"rollouts": [8]}}` changes one.
+
+    A record whose `kind` changes is replaced as a whole.
+
+    Args:
+        values: from `as_values`.
+        changes: some of the same keys.
+        where: name of the changes in messages.
+
+    Raises:
+        InputError: a key of the changes is unknown.
+    """
+    if not isinstance(changes, dict):
+        raise InputError(f"{where} must be a table of settings, got {shortened(repr(changes))}")
+    result = dict(values)
+    for name, change in changes.items():
+        if name not in values:
+            raise InputError(f"{where}.{name} is unknown; there are: {', '.join(values)}")
+        if _same_record(values[name], change):
+            change = merged(values[name], change, f"{where}.{name}")
+        result[name] = change
+    return result
+
+
+def _same_record(values, change) -> bool:
+    if not isinstance(values, dict) or not isinstance(change, dict):
+        return False
+    return change.get(KIND, values.get(KIND)) == values.get(KIND)
+
+
+def _records(hint) -> list[type]:
+    """Dataclasses among the types that a field may hold."""
+    return [choice for choice in _choices(hint) if is_dataclass(choice)]
+
+
+def _choices(hint) -> tuple:
+    return get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
+
+
+def _field(hint, value, where: str):
+    """A value converted to the type of its field."""
+    choices, records = _choices(hint), _records(hint)
+    if records and isinstance(value, dict):
+        return _record(records, value, where)
+    for choice in choices:
+        parsed, fits = _plain(choice, value)
+        if fits:
+            return parsed
+    expected = getattr(hint, "__name__", str(hint)) if len(choices) == 1 else str(hint)
+    raise InputError(f"{where} is {shortened(repr(value))}; it must be {expected}")
+
+
+def _record(records: list[type], value: dict, where: str):
+    if len(records) == 1:
+        return from_values(records[0], value, where)
+    named = {record.__name__: record for record in records}
+    if value.get(KIND) not in named:
+        known = ", ".join(named)
+        raise InputError(f"{where}.{KIND} is {value.get(KIND)!r}; it must be one of: {known}")
+    inner_values = {name: inner for name, inner in value.items() if name != KIND}
+    return from_values(named[value[KIND]], inner_values, where)
+
+
+def _plain(hint, value) -> tuple[Any, bool]:
+    """A value that is no record, converted to a type, and whether it fits that type."""
+    # bool is a subclass of int: types are compared exactly
+    if get_origin(hint) is Literal:
+        return value, value in get_args(hint)
+    if get_origin(hint) is tuple:
+        return _row(get_args(hint), value)
+    if hint is float and isinstance(value, int) and not isinstance(value, bool):
+        # a whole number may be too large for any float
+        return (float(value), True) if abs(value) < LARGEST else (value, False)
+    if hint in (int, float, str, bool):
+        return value, type(value) is hint
+    return value, hint is type(None) and value is None
+
+
+def _row(inner: tuple, value) -> tuple[Any, bool]:
+    if not isinstance(value, list):
+        return value, False
+    hints = inner[:1] * len(value) if inner[-1] is Ellipsis else inner
+    if len(hints) != len(value):
+        return value, False
+    items = [_plain(hint, item) for hint, item in zip(hints, value, strict=True)]
+    return tuple(item for item, _ in items), all(fits for _, fits in items)

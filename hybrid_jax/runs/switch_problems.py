@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: MIT
+"""Training problems of the switching agent: both motions of the phases of tasks."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import jax
+from jax import Array
+
+from hybrid_jax.contracts import Combined
+from hybrid_jax.kernels.collision.motion_validation import measure_in_scenes
+from hybrid_jax.planner.combined_path import combine
+from hybrid_jax.planner.pipeline import Job, bridge_jobs, choose_route, prepare
+from hybrid_jax.planner.records import Planner
+from hybrid_jax.planner.trajectory_check import ConfigurationChecker
+from hybrid_jax.planner.trajectory_generation import Draft, first_scenes, phase_paths
+from hybrid_jax.tasks.task import Task
+
+
+def combined_phases(planner: Planner, tasks: Sequence[Task], key: Array) -> list[Combined]:
+    """Combined trajectory (traj_comb) of every phase with a gap, on the best route of each task.
+
+    Phases with a gap that the joint agent does not bridge are left out; without a joint agent,
+    the skill's own motion stands in for both.
+
+    Args:
+        planner: its `bridge` may be None.
+        tasks: whose phases are looked for.
+        key: random key.
+
+    Returns:
+        One problem a phase, with configurations `[2, STEPS, joint]` [rad].
+    """
+    key_label, key_bridge = jax.random.split(key)
+    planner = replace(planner, config=replace(planner.config, path_ik=planner.config.first_look))
+    checker = ConfigurationChecker(planner.cell, planner.config.check)
+    _, jobs = prepare(planner, checker, tasks, key_label)
+    for job in jobs.values():
+        choose_route(planner, checker, job)
+    ready = [job for job in jobs.values() if not job.done]
+    if planner.bridge is not None:
+        bridge_jobs(planner, None, ready, key_bridge)
+    drafts = [draft for job in ready for draft in _drafts(planner, job)]
+    if not drafts:
+        return []
+    measure = measure_in_scenes(planner.cell, first_scenes(drafts))
+    paths = phase_paths(planner, drafts, measure)
+    return [combine(planner.cell, path, planner.scale) for path in paths]
+
+
+def _drafts(planner: Planner, job: Job) -> list[Draft]:
+    """Drafts of the phases of a job that have gaps, all of them bridged."""
+    drafts = []
+    for number, (low, high) in enumerate(job.task.phases):
+        legs = job.legs[low:high]
+        gaps = [leg.name for leg in legs if leg.has_gap]
+        if gaps and (planner.bridge is None or all(name in job.ways for name in gaps)):
+            drafts.append(Draft(job.task, job.scenes, number, legs, job.ways))
+    return drafts

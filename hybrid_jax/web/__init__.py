@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""The server, page and 3-D scene that the browser pages share."""
