@@ -10,10 +10,9 @@ from dataclasses import fields, is_dataclass
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from hybrid_jax.errors import InputError, shortened
+from hybrid_jax.workcell.records import LARGEST
 
 T = TypeVar("T")
-LARGEST = 1e300
-"""A number beyond which nothing can be computed."""
 KIND = "kind"
 """Field that names the class of a record where several may stand."""
 
