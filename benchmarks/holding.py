@@ -7,6 +7,7 @@ is run with.
 """
 
 import copy
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -17,21 +18,18 @@ import tyro
 from scipy.spatial.transform import Rotation
 
 from benchmarks.report import metric, write
-from hybrid_jax.agents.switching import SwitchConfig
-from hybrid_jax.execution.batches import execute
 from hybrid_jax.execution.contact_sensors import SensedCell, sense_cell
 from hybrid_jax.execution.engines import HostEngine, get_state
 from hybrid_jax.execution.plant import Plant, Steps
 from hybrid_jax.execution.scheduler import drive
+from hybrid_jax.execution.single_tasks import execute
 from hybrid_jax.ik import solve_ik
 from hybrid_jax.planner.bridging import rrt_bridger
-from hybrid_jax.planner.lfd import optimal_chooser
 from hybrid_jax.planner.pipeline import plan_batch
-from hybrid_jax.planner.records import Planner
 from hybrid_jax.planner.rrt_connect import RrtConfig
-from hybrid_jax.runs.load_planner import optimal_switcher, read_library
+from hybrid_jax.runs.load_planner import untrained_planner
 from hybrid_jax.runs.seeds import HOLDING
-from hybrid_jax.tasks.handling import handling_task
+from hybrid_jax.tasks.registry import make_task
 from hybrid_jax.tasks.scene_sampling import sample_scene
 from hybrid_jax.tasks.task import Task
 from hybrid_jax.types import Workcell
@@ -87,8 +85,7 @@ def creep(
 
 def transfers(cell: Workcell, tasks: list[Task]) -> list[float]:
     """How far each object moves in the tool in a planned transfer [m]."""
-    bridge, switch = rrt_bridger(cell, RrtConfig()), optimal_switcher(SwitchConfig())
-    planner = Planner(cell, read_library(), optimal_chooser, bridge, switch, 0.1)
+    planner = replace(untrained_planner(cell, 0.1), bridge=rrt_bridger(cell, RrtConfig()))
     plans = plan_batch(planner, tasks, key=jax.random.key(0))
     return [execute(cell, task, plan).slip for task, plan in zip(tasks, plans, strict=True)]
 
@@ -104,7 +101,7 @@ def main(json: Path | None = None, tiny: bool = False) -> None:
     sensed, poses = sense_cell(cell), sample_scene(cell, HOLDING.start)
     pyramids = copy.deepcopy(sensed.model)
     pyramids.opt.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
-    tasks = [handling_task(cell, name, poses) for name in cell.source.layout.object_names]
+    tasks = [make_task(cell, name, poses) for name in cell.source.layout.object_names]
     tasks, seconds = (tasks[:1], 0.2) if tiny else (tasks, HOLD)
     found = []
     for task, slip in zip(tasks, transfers(cell, tasks), strict=True):

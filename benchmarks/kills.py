@@ -28,7 +28,7 @@ CLOCK = {"rate", "planning_s", "seconds"}
 """Metrics that say how long something took."""
 ARRAYS = ("map.npz", "lfd.npz", "drl.npz", "switch.npz", "segments.npz")
 TABLES = ("map.jsonl", "lfd.jsonl", "drl.jsonl", "switch.jsonl")
-LONGEST = {"map": 12.0, "lfd": 8.0, "drl": 20.0, "switch": 12.0, "demo": 25.0}
+LONGEST = {"map": 12.0, "lfd": 8.0, "drl": 20.0, "switch": 12.0, "showcase": 25.0}
 """A stage is killed so long after it has begun, at most [s]: about as long as it takes. The first
 begins with the process, which imports for a few seconds."""
 
@@ -65,15 +65,17 @@ def differences(one: Path, other: Path) -> list[str]:
             )
         found += [] if same else [name]
     found += [name for name in TABLES if rows_of(one / name) != rows_of(other / name)]
-    demos = [without_clock(jsonlib.loads((f / "demo.json").read_text())) for f in (one, other)]
-    found += [] if demos[0] == demos[1] else ["demo.json"]
+    showcases = [
+        without_clock(jsonlib.loads((f / "showcase.json").read_text())) for f in (one, other)
+    ]
+    found += [] if showcases[0] == showcases[1] else ["showcase.json"]
     names = [{path.name for path in folder.iterdir()} for folder in (one, other)]
     return found + sorted(f"left over: {name}" for name in names[0] ^ names[1])
 
 
 def finished(folder: Path, stage: str) -> bool:
     """Has a stage left its result?"""
-    return (folder / ("demo.json" if stage == "demo" else f"{stage}.npz")).is_file()
+    return (folder / ("showcase.json" if stage == "showcase" else f"{stage}.npz")).is_file()
 
 
 def kill_in(folder: Path, stage: str, rng: random.Random) -> bool:

@@ -98,7 +98,7 @@ def switch_optimality(planner: Planner, config: switching.SwitchConfig, count: i
 
 def methods(run: Run, planner: Planner) -> dict[str, Method]:
     """Every method by its name; `hybrid` is the planner as `load_planner` gives it."""
-    alone = replace(planner, config=replace(planner.config, fallback=None))
+    alone = replace(planner, fallback=None)
     direct = joint_agent_only(whole_space_agent(run, planner))
 
     def with_(some: Planner) -> Method:

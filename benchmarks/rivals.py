@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from hybrid_jax.kernels.collision.primitive_kinds import KINDS, kinds_of
 from hybrid_jax.kernels.collision.rounded_boxes import local_shapes, row_links
 from hybrid_jax.runtime.devices import usable_cores
 from hybrid_jax.runtime.quiet import engine_messages
@@ -246,11 +247,11 @@ def _xyzw(quat) -> list[float]:
 
 def _primitives(shapes, every: bool = False) -> list:
     """(kind, radius, length, half extents, position, orientation) of a list of primitives."""
-    found = []
+    found, kinds = [], [KINDS[kind].name for kind in kinds_of(shapes.counts)]
     for i in range(shapes.count):
         pose, half = np.asarray(shapes.pose[i], float), np.asarray(shapes.half_extents[i], float)
         radius = float(shapes.radius[i])
-        kind = "box" if i >= shapes.capsule_count else "capsule" if half[2] > 0 else "sphere"
+        kind = "box" if kinds[i] != "capsule" else "capsule" if half[2] > 0 else "sphere"
         one = (kind, radius, 2 * half[2], half, pose[:3], _xyzw(pose[3:]))
         found.append(one if float(shapes.active[i]) > 0 else None)
     return found if every else [one for one in found if one]

@@ -21,7 +21,7 @@ def main(folder: str) -> None:
         return
     report = hj.execute(run.cell, task, plan)
     print(
-        f"{report.ending.value} in {report.seconds:.1f} s; placed: {report.placed}; "
+        f"{report.ending.value} in {report.seconds:.1f} s; success: {report.success}; "
         f"it slipped by {1e3 * report.slip:.1f} mm"
     )
     for touch in report.touches:

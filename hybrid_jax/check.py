@@ -103,10 +103,8 @@ def plan_tasks(
 
     import jax
 
-    from hybrid_jax.planner.lfd import optimal_chooser
     from hybrid_jax.planner.pipeline import plan_batch
-    from hybrid_jax.planner.records import Planner
-    from hybrid_jax.runs.load_planner import optimal_switcher, read_library
+    from hybrid_jax.runs.load_planner import untrained_planner
     from hybrid_jax.runs.presets import DEFAULT
     from hybrid_jax.tasks.registry import random_task
     from hybrid_jax.types import Status
@@ -115,8 +113,7 @@ def plan_tasks(
     # without a map nobody knows what manipulability is usual here
     path_ik = replace(DEFAULT.planner.path_ik, least_manipulability=0.0)
     config = replace(DEFAULT.planner, path_ik=path_ik, quick_path_ik=None)
-    switch = optimal_switcher(DEFAULT.switch)
-    planner = Planner(cell, read_library(skills), optimal_chooser, None, switch, 1.0, config)
+    planner = untrained_planner(cell, 1.0, config, skills)
     problems = [random_task(cell, seed) for seed in range(count)]
     with working("check", f"planning {count} tasks (a first time also compiles)", quiet):
         results = plan_batch(planner, problems, key=jax.random.key(0))

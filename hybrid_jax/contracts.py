@@ -16,7 +16,8 @@ from jax import Array
 from hybrid_jax.skills.costs import SegmentCosts
 from hybrid_jax.skills.task_segmentation import SkillPlan
 from hybrid_jax.tasks.task import Task
-from hybrid_jax.types import Record, Scene, Source, Status, Trajectory, pytree
+from hybrid_jax.types import Record, Scene, Source, Status, Trajectory, Workcell, pytree
+from hybrid_jax.workcell.description import TaskData
 
 STEPS = 200
 """Points of the grid of a combined motion (paper, table of the switching agent: steps)."""
@@ -92,6 +93,90 @@ class PlanResult:
 
 Planning = Callable[[Sequence[Task]], list[PlanResult]]
 """From tasks to the plan of each, made together."""
+
+
+class TaskKind(Protocol):
+    """A kind of task: a module with these names, see `workcell.description.TASK_KINDS`.
+
+    The planner knows none of them: it is given a `Task`.
+    """
+
+    EXECUTION: str
+    """Module that carries such tasks out, an `ExecutionModule`."""
+    STUDY: str
+    """Module of the study that compares methods on such tasks, see `studies.registry.Study`."""
+
+    def read(self, tables: dict, file: str) -> TaskData:
+        """The task data from the tables of a cell's TOML file, without its `kind`.
+
+        Args:
+            tables: of the file; `controller` is a `ControllerSpec` already.
+            file: name of the file, for messages.
+
+        Raises:
+            WorkcellError: a field is missing, unknown, of another type or out of its range.
+        """
+        ...
+
+    def make_task(
+        self,
+        cell: Workcell,
+        object_name: str,
+        object_poses: np.ndarray,
+        start: np.ndarray | None = None,
+    ) -> Task:
+        """The task of one object, from a configuration `[joint]` [rad or m]; home if None.
+
+        Args:
+            cell: with data of this kind.
+            object_name: which object.
+            object_poses: `[object, 7]` where all objects lie: position [m], quaternion.
+            start: where the arm stands.
+        """
+        ...
+
+    def random_task(self, cell: Workcell, seed: int) -> Task:
+        """The task of one object of a random scene."""
+        ...
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What is measured in a cell at the end of an execution."""
+
+    failure: str = ""
+    """Why the task is not done, in few words; empty if it is."""
+    measures: dict[str, float] = field(default_factory=dict)
+    """Whatever tells good from bad, by a name that ends with its unit: `distance_mm`."""
+
+
+@dataclass(frozen=True)
+class Showcase:
+    """A few tasks of a cell, planned and carried out in physics."""
+
+    rows: list[dict]
+    """One for each task: name, success, cause, detail, shares of the sources."""
+    frames: np.ndarray
+    """`[frame, nq]` MuJoCo's `qpos` after each tick."""
+    touched: int
+    """Number of contacts that were not allowed."""
+
+
+class ExecutionModule(Protocol):
+    """How tasks of one kind are carried out: a module with these names."""
+
+    def judge(self, plant, task: Task) -> Judgement:
+        """Is a task done whose plan was carried out, and how well?
+
+        Args:
+            plant: the simulated cell, an `execution.plant.Plant`.
+            task: what was planned.
+        """
+        ...
+
+    def show(self, cell: Workcell, plan: Planning, seed: int, count: int) -> Showcase:
+        """Plan and carry out `count` tasks of random scenes, drawn from `seed`."""
+        ...
 
 
 class PhysicsEngine(Protocol):

@@ -78,8 +78,8 @@ class Shapes(Record):
     """`[n]` radius of the ball [m]."""
     active: Array
     """`[n]` 1, or 0 for a slot that is empty: it is at distance `FAR`."""
-    capsule_count: int = struct.field(pytree_node=False)
-    """Number of capsules and spheres: they come before the boxes."""
+    counts: tuple[int, ...] = struct.field(pytree_node=False)
+    """Number of primitives of each kind of `kernels.collision.primitive_kinds`, in their order."""
     all_spheres: bool = struct.field(pytree_node=False, default=False)
     """Whether every primitive is a sphere."""
 
@@ -94,7 +94,7 @@ class RobotShapes(Record):
     """Primitives of links and fingers; the payload's slots stand in the scene."""
 
     shapes: Shapes
-    """Each in the frame of the link that carries it, sorted by link within capsules and boxes."""
+    """Each in the frame of the link that carries it, sorted by link within each kind."""
     stroke: Array
     """`[n, 3]` displacement per metre of gripper opening, in the same frame; 0 but for fingers."""
     link: tuple[int, ...] = struct.field(pytree_node=False)

@@ -4,6 +4,7 @@
 import os
 import shutil
 import tempfile
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -72,15 +73,11 @@ def cell():
 @pytest.fixture(scope="session")
 def planner(cell):
     """The handling cell's planner with exact stand-ins: RRT-Connect in the joint agent's place."""
-    from hybrid_jax.agents.switching import SwitchConfig
     from hybrid_jax.planner.bridging import rrt_bridger
-    from hybrid_jax.planner.lfd import optimal_chooser
-    from hybrid_jax.planner.records import Planner
     from hybrid_jax.planner.rrt_connect import RrtConfig
-    from hybrid_jax.runs.load_planner import optimal_switcher, read_library
+    from hybrid_jax.runs.load_planner import untrained_planner
 
-    bridge, switch = rrt_bridger(cell, RrtConfig()), optimal_switcher(SwitchConfig())
-    return Planner(cell, read_library(), optimal_chooser, bridge, switch, 0.1)
+    return replace(untrained_planner(cell, 0.1), bridge=rrt_bridger(cell, RrtConfig()))
 
 
 @pytest.fixture(scope="session")

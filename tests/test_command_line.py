@@ -39,7 +39,7 @@ def test_a_run_leaves_what_it_promises(run_folder):
         "drl.jsonl",
         "switch.npz",
         "switch.png",
-        "demo.json",
+        "showcase.json",
         "segments.npz",
     } <= names
     assert not any(name.endswith(("checkpoint.npz", ".partial.npz")) for name in names)

@@ -15,23 +15,21 @@ from scipy.spatial.transform import Rotation
 import hybrid_jax
 from hybrid_jax.contracts import PlanResult
 from hybrid_jax.errors import UnknownNameError, WorkcellError
-from hybrid_jax.execution.batches import planning
 from hybrid_jax.execution.disturbances import Disturbance
 from hybrid_jax.execution.inspection import InspectionReport, Trial, inspect_parts
 from hybrid_jax.execution.plant import Touch
+from hybrid_jax.execution.scheduler import planning
 from hybrid_jax.export import to_joint_trajectory
 from hybrid_jax.export.fanuc_tp import TOLERANCE, to_tp_program
 from hybrid_jax.export.fanuc_tp_reader import read_tp_program
-from hybrid_jax.planner.lfd import optimal_chooser
 from hybrid_jax.planner.pipeline import plan_batch
-from hybrid_jax.planner.records import Planner
-from hybrid_jax.runs.load_planner import optimal_switcher, read_library
+from hybrid_jax.runs.load_planner import untrained_planner
 from hybrid_jax.runs.presets import DEFAULT
 from hybrid_jax.studies import inspection as study
 from hybrid_jax.studies.inspection_pictures import draw_study
 from hybrid_jax.studies.measures import steady_from
 from hybrid_jax.tasks.handling import require_handling
-from hybrid_jax.tasks.inspection import brush_errors, inspection_task, on_face, random_start
+from hybrid_jax.tasks.inspection import brush_errors, on_face, random_start
 from hybrid_jax.tasks.registry import make_task, random_task
 from hybrid_jax.tasks.scene_sampling import sample_scene
 from hybrid_jax.types import Status, Trajectory
@@ -50,8 +48,7 @@ def fpi():
 def inspector(fpi):
     """Its planner: skills, and RRT-Connect where they cannot be followed."""
     config = replace(DEFAULT.planner, path_ik=DEFAULT.planner.quick_path_ik, quick_path_ik=None)
-    switch = optimal_switcher(DEFAULT.switch)
-    return Planner(fpi, read_library(), optimal_chooser, None, switch, 0.05, config)
+    return untrained_planner(fpi, 0.05, config)
 
 
 @pytest.fixture(scope="session")
@@ -151,10 +148,10 @@ def test_brush_errors_are_what_was_added_to_a_perfect_stroke(fpi):
 
 def test_tasks_rest_over_the_tray_and_on_the_part(fpi):
     poses = sample_scene(fpi, 1)
-    task = inspection_task(fpi, "right_1", poses)
+    task = make_task(fpi, "right_1", poses)
     assert task.phases == [(0, 1), (1, 2), (2, 5)] and task.end is None and not task.transit
     assert task.tool_speed(0) == np.inf and task.tool_speed(2) == fpi.source.task.brush_speed
-    elsewhere = inspection_task(fpi, "right_1", poses, np.asarray(fpi.home) + 0.1)
+    elsewhere = make_task(fpi, "right_1", poses, np.asarray(fpi.home) + 0.1)
     assert elsewhere.transit and elsewhere.phases == [(0, 1), (1, 2), (2, 3), (3, 6)]
     np.testing.assert_array_equal(elsewhere.key_poses[1:], task.key_poses)
     np.testing.assert_array_equal(elsewhere.shown[0], task.key_poses)
@@ -162,7 +159,7 @@ def test_tasks_rest_over_the_tray_and_on_the_part(fpi):
     one, other = random_task(fpi, 7), random_task(fpi, 8)
     assert one.object_name != other.object_name and np.abs(one.start - fpi.home).max() > 0.01
     with pytest.raises(UnknownNameError, match="left_0"):
-        inspection_task(fpi, "left_9", poses)
+        make_task(fpi, "left_9", poses)
 
 
 def test_trials_are_carried_out_exactly_and_without_a_touch(fpi, reports):
@@ -177,7 +174,7 @@ def test_trials_are_carried_out_exactly_and_without_a_touch(fpi, reports):
 def brushing(fpi, inspector):
     """A task from elsewhere than home, and its plan."""
     start = random_start(fpi, np.random.default_rng(0))
-    task = inspection_task(fpi, "left_2", sample_scene(fpi, 3), start)
+    task = make_task(fpi, "left_2", sample_scene(fpi, 3), start)
     plan = plan_batch(inspector, [task], key=jax.random.key(0))[0]
     assert plan.status is Status.OK, plan.detail
     return task, plan

@@ -23,7 +23,7 @@ from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.collision.clearance import clearance
 from hybrid_jax.kernels.collision.motion_validation import path_clearance
 from hybrid_jax.planner import smoothing, trajectory_check
-from hybrid_jax.planner.bridging import bridge_gaps
+from hybrid_jax.planner.bridging import bridge_gaps, rrt_bridger
 from hybrid_jax.planner.phase_scenes import (
     CARRYING,
     REACHING,
@@ -37,8 +37,7 @@ from hybrid_jax.planner.pipeline import plan_batch, plan_motion, prepare
 from hybrid_jax.planner.task_validation import admit
 from hybrid_jax.planner.trajectory_generation import find_faults
 from hybrid_jax.skills.library import without
-from hybrid_jax.tasks.handling import handling_task
-from hybrid_jax.tasks.registry import random_task, read_task
+from hybrid_jax.tasks.registry import make_task, random_task, read_task
 from hybrid_jax.tasks.scene_sampling import sample_scene
 from hybrid_jax.types import Source, Status
 from hybrid_jax.workcell.poses import pose_row
@@ -156,12 +155,12 @@ def test_a_start_outside_the_limits_is_clipped_if_rounding_did_it_else_refused(c
     low, high, poses = *np.asarray(cell.joint_limits).T, sample_scene(cell, 4)
     start, checker = np.array(cell.home), trajectory_check.ConfigurationChecker(cell)
     start[5] = high[5] + 2e-4  # bent all the way back, the wrist touches nothing
-    task = handling_task(cell, "block_2", poses, start)
+    task = make_task(cell, "block_2", poses, start)
     clipped, note, refusal = admit(cell, checker, task)
     assert refusal is None and (clipped.start <= high).all() and (clipped.start >= low).all()
     assert note.startswith("(the start: joint_6 is at") and note.endswith("put back to the limit)")
     start[5] = high[5] + 0.1
-    far = plan_motion(planner, handling_task(cell, "block_2", poses, start), key=jax.random.key(0))
+    far = plan_motion(planner, make_task(cell, "block_2", poses, start), key=jax.random.key(0))
     assert far.status is Status.START_INVALID and "0.1 rad outside its limits" in far.detail
     nan = replace(task, start=np.full(7, np.nan))
     assert plan_motion(planner, nan, key=jax.random.key(0)).status is Status.START_INVALID
@@ -170,7 +169,7 @@ def test_a_start_outside_the_limits_is_clipped_if_rounding_did_it_else_refused(c
 def test_a_start_that_collides_is_named_with_what_it_touches(cell, planner):
     low = np.array(cell.home)
     low[1] += 1.6
-    task = handling_task(cell, "block_2", sample_scene(cell, 4), low)
+    task = make_task(cell, "block_2", sample_scene(cell, 4), low)
     result = plan_motion(planner, task, key=jax.random.key(0))
     assert result.status is Status.START_INVALID
     assert result.detail.startswith("the arm collides where it stands: ")
@@ -178,7 +177,7 @@ def test_a_start_that_collides_is_named_with_what_it_touches(cell, planner):
 
 def test_another_start_is_where_the_plan_begins(cell, planner):
     start = np.array(cell.home) + np.float32(0.1)
-    task = handling_task(cell, "block_2", sample_scene(cell, 4), start)
+    task = make_task(cell, "block_2", sample_scene(cell, 4), start)
     result = plan_motion(planner, task, key=jax.random.key(0))
     assert result.status is Status.OK, result.detail
     np.testing.assert_allclose(result.phases[0].positions[0], start, atol=1e-5)
@@ -187,18 +186,22 @@ def test_another_start_is_where_the_plan_begins(cell, planner):
 def test_an_object_out_of_reach_is_infeasible_or_needs_a_demonstration(planner):
     poses = sample_scene(planner.cell, 4)
     poses[-1, :2] = [0.80, 0.28]
-    task = handling_task(planner.cell, "block_2", poses)
+    task = make_task(planner.cell, "block_2", poses)
     result = plan_motion(planner, task, key=jax.random.key(0))
     assert result.status in (Status.TASK_INFEASIBLE, Status.NEED_DEMO)
     assert result.phases == [] and result.detail
 
 
 def test_the_fallback_bridges_what_the_joint_agent_does_not(planner, planned):
-    helpless = replace(planner, bridge=lambda segments, key: [None] * len(segments.start))
+    helpless = replace(
+        planner,
+        bridge=lambda segments, key: [None] * len(segments.start),
+        fallback=rrt_bridger(planner.cell, planner.config.fallback),
+    )
     result = plan_motion(helpless, planned[0], key=jax.random.key(0))
     assert result.status is Status.OK and result.shares[Source.RRT] > 0
     assert result.shares[Source.DRL] == 0 and sum(result.shares.values()) == pytest.approx(1)
-    alone = replace(helpless, config=replace(planner.config, fallback=None))
+    alone = replace(helpless, fallback=None)
     result = plan_motion(alone, planned[0], key=jax.random.key(0))
     assert result.status is Status.NO_PATH
     assert re.match(r"key pose \d to \d: no way around", result.detail)

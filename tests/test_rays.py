@@ -9,8 +9,9 @@ import oracles
 import pytest
 
 from hybrid_jax.kernels import dualquat as dq
+from hybrid_jax.kernels.collision.ray_lengths import ray_box, ray_capsule
 from hybrid_jax.kernels.kinematics import tool_pose
-from hybrid_jax.kernels.rays import RAY_RANGE, fibonacci_directions, ray_box, ray_capsule, sense
+from hybrid_jax.kernels.rays import RAY_RANGE, fibonacci_directions, sense
 
 
 @pytest.mark.parametrize(

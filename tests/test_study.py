@@ -13,17 +13,18 @@ import pytest
 from hybrid_jax import evaluate
 from hybrid_jax.baselines.ablations import ABLATIONS, ablated, straight_bridger
 from hybrid_jax.errors import InputError, RunFolderError, UnknownNameError
-from hybrid_jax.execution.batches import SortingReport, sort_scenes
 from hybrid_jax.execution.contact_sensors import sense_cell
 from hybrid_jax.execution.disturbances import CALM, DISTURBED, disturbed_model, measured, push
-from hybrid_jax.execution.handling import ObjectReport, in_tray
+from hybrid_jax.execution.handling import SortingReport, sort_scenes
 from hybrid_jax.execution.plant import Plant
+from hybrid_jax.execution.scheduler import planning
+from hybrid_jax.execution.sorting import ObjectReport, in_tray
 from hybrid_jax.reports import film
 from hybrid_jax.runs import run_folder
 from hybrid_jax.runs.presets import PRESETS
 from hybrid_jax.runs.run_folder import Run
 from hybrid_jax.studies import handling as study
-from hybrid_jax.studies import handling_pictures, inspection, methods, registry
+from hybrid_jax.studies import handling_pictures, inspection, methods, single_tasks
 from hybrid_jax.studies.journal import Journal
 from hybrid_jax.tasks.scene_sampling import sample_scene
 from hybrid_jax.tasks.task import yaw_of
@@ -189,7 +190,6 @@ def test_what_stands_out_over_the_rim_does_not_lie_in_its_tray(cell):
 
 def test_skills_alone_are_executed_and_their_collisions_counted(cell, planner):
     from hybrid_jax.baselines.unchecked import follow_skills
-    from hybrid_jax.execution.batches import planning
     from hybrid_jax.execution.plan_execution import ExecutionConfig
 
     plan = planning(functools.partial(follow_skills, planner), 0)
@@ -301,7 +301,7 @@ def test_two_studies_do_not_share_a_file(tmp_path):
 
 
 def test_every_method_of_the_command_exists():
-    for one in registry.STUDIES.values():
+    for one in (study, inspection, single_tasks):
         assert set(one.METHODS) <= set(methods.METHODS)
 
 

@@ -16,7 +16,7 @@ from hybrid_jax.planner import timing
 from hybrid_jax.planner.pipeline import plan_motion
 from hybrid_jax.planner.point_to_point import plan_joint_motion
 from hybrid_jax.planner.turns import nearest_goal, plan_in_turns, turns_from, winding
-from hybrid_jax.tasks.handling import handling_task
+from hybrid_jax.tasks.registry import make_task
 from hybrid_jax.tasks.scene_sampling import sample_scene
 from hybrid_jax.tasks.task import Task
 from hybrid_jax.types import Status, Trajectory
@@ -110,7 +110,7 @@ def test_a_task_that_starts_one_turn_off_is_as_short_as_from_home(planner):
     off = home.copy()
     off[6] -= 2 * np.pi
     near, far = (
-        plan_motion(planner, handling_task(cell, "block_1", poses, q), key=jax.random.key(0))
+        plan_motion(planner, make_task(cell, "block_1", poses, q), key=jax.random.key(0))
         for q in (home, off)
     )
     assert near.status is Status.OK and far.status is Status.OK
@@ -174,7 +174,7 @@ def test_where_turning_back_would_leave_the_limits_the_arm_unwinds_once(planner)
     tight = cell.replace(chain=chain)
     off = np.asarray(cell.home, float)
     off[6] -= 2 * np.pi
-    task = handling_task(cell, "block_1", poses, off)
+    task = make_task(cell, "block_1", poses, off)
     result = plan_motion(replace(planner, cell=tight), task, key=jax.random.key(0))
     assert result.status is Status.OK, result.detail
     limits = np.asarray(tight.joint_limits)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hybrid_jax.errors import UnknownNameError, WorkcellError
-from hybrid_jax.tasks.handling import handling_task
+from hybrid_jax.tasks.registry import make_task
 from hybrid_jax.tasks.scene_sampling import sample_scene
 from hybrid_jax.workcell.load import load_workcell
 
@@ -85,7 +85,7 @@ def test_the_straight_way_to_a_tray_collides(cell):
     for seed in range(3):
         scene = sample_scene(cell, seed)
         for name in ("hammer", "block_1"):
-            task = handling_task(cell, name, scene)
+            task = make_task(cell, name, scene)
             ends = np.asarray(dq.position(jnp.asarray(task.key_poses[2:4])))
             data = mujoco.MjData(cell.model)
             mujoco.mj_forward(cell.model, data)

@@ -52,7 +52,7 @@ def rule_switcher(combined: Combined) -> np.ndarray:
 def lfd_only(planner: Planner) -> Planner:
     """A planner with skills alone, without bridges over gaps (the paper's "LfD")."""
     # without the fallback too: RRT-Connect would bridge the gaps
-    return replace(planner, bridge=None, config=replace(planner.config, fallback=None))
+    return replace(planner, bridge=None, fallback=None)
 
 
 def joint_agent_only(planner: Planner) -> Planner:
@@ -63,8 +63,8 @@ def joint_agent_only(planner: Planner) -> Planner:
     """
     if planner.bridge is None:
         raise InputError("the planner has no joint agent")
-    config = replace(planner.config, direct=True, fallback=None)
-    return replace(planner, switch=rule_switcher, config=config)
+    config = replace(planner.config, direct=True)
+    return replace(planner, switch=rule_switcher, config=config, fallback=None)
 
 
 @single_precision

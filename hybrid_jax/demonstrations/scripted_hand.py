@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from hybrid_jax.tasks.handling import handling_task, require_handling
+from hybrid_jax.tasks.handling import make_task, require_handling
 from hybrid_jax.tasks.task import home_pose
 from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.layout import home_qpos
@@ -49,7 +49,7 @@ def _key_poses(cell: Workcell, name: str) -> list[RigidTransform]:
     poses[row, 3:] = [1.0, 0.0, 0.0, 0.0]
     return [
         RigidTransform.from_dual_quat(pose.astype(float), scalar_first=True)
-        for pose in handling_task(cell, name, poses).key_poses
+        for pose in make_task(cell, name, poses).key_poses
     ]
 
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from hybrid_jax.errors import WorkcellError
 from hybrid_jax.runtime.quiet import engine_messages
-from hybrid_jax.tasks.handling import object_in_tool
 from hybrid_jax.tasks.scene_sampling import require_task_data
 from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.layout import Layout
@@ -129,12 +128,12 @@ def _pairs(model: mujoco.MjModel, layout: Layout) -> tuple[tuple[Pair, ...], tup
 
 def _add_welds(spec: mujoco.MjSpec, cell: Workcell) -> None:
     """Add an inactive weld for each object, which can hold it in the tool at its first grasp."""
-    model, layout, data = cell.model, cell.source.layout, cell.source.task
-    if data.gripper is None:
-        return
+    model, layout, data = cell.model, cell.source.layout, require_task_data(cell)
     hand = int(model.site_bodyid[layout.tool_site])
     for name in layout.object_names:
-        held = object_in_tool(data.object(name))
+        held = data.held_in_tool(name)
+        if held is None:
+            continue
         position, quat = np.empty(3), np.empty(4)
         site = model.site_pos[layout.tool_site], model.site_quat[layout.tool_site]
         mujoco.mju_mulPose(position, quat, *site, held[:3], held[3:])

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 
-from hybrid_jax.contracts import Planning
+from hybrid_jax.contracts import Judgement, Planning, Showcase
 from hybrid_jax.execution.contact_sensors import SensedCell, sense_cell
 from hybrid_jax.execution.disturbances import CALM, Disturbance, disturbed_model, measured
 from hybrid_jax.execution.engines import make_engine
@@ -16,11 +16,12 @@ from hybrid_jax.execution.plant import BlownUp, PlanRequest, Plant, Steps, Touch
 from hybrid_jax.execution.scheduler import drive
 from hybrid_jax.tasks.inspection import (
     brush_errors,
-    inspection_task,
+    make_task,
     random_start,
     require_inspection,
 )
 from hybrid_jax.tasks.scene_sampling import sample_scene
+from hybrid_jax.tasks.task import Task
 from hybrid_jax.types import Source, Status, Trajectory, Workcell
 from hybrid_jax.workcell.poses import pose_of, pose_row
 
@@ -112,7 +113,7 @@ class Inspecting:
         plant, report, cell = self.plant, self.report, self.plant.sensed.cell
         rng = np.random.default_rng(self.trial.seed)
         poses = measured(plant.objects(), self.disturbance, rng)
-        task = inspection_task(cell, self.trial.part, poses, plant.target)
+        task = make_task(cell, self.trial.part, poses, plant.target)
         answer = yield PlanRequest(task)
         report.planning_s = answer.seconds
         result = answer.result
@@ -122,7 +123,7 @@ class Inspecting:
         report.shares = {s.name: round(result.shares[s], 3) for s in Source}
         for (_, high), trajectory in zip(task.phases, result.phases, strict=True):
             # judged by the true poses: the planner saw measured ones, and parts may have moved
-            truth = inspection_task(cell, self.trial.part, plant.objects(), task.start)
+            truth = make_task(cell, self.trial.part, plant.objects(), task.start)
             tool_poses = yield from self._follow(trajectory)
             self._compare(truth.key_poses[high], tool_poses[-1])
             if high == len(task.carrying):  # without the dwell at its end
@@ -141,10 +142,9 @@ class Inspecting:
 
     def _compare(self, wanted: np.ndarray, tool: np.ndarray) -> None:
         """Note the error of a tool pose `[7]` against a key pose `[8]`."""
-        row = pose_row(wanted)
-        error = pose_of(row[:3], row[3:]).inv() * pose_of(tool[:3], tool[3:])
-        self.report.away.append(float(np.linalg.norm(error.translation)))
-        self.report.turned.append(float(np.abs(error.rotation.as_euler("xyz")).max()))
+        distance, angle = _tool_error(wanted, tool)
+        self.report.away.append(distance)
+        self.report.turned.append(angle)
 
     def _judge_stroke(self, tools: np.ndarray) -> None:
         plant, data = self.plant, require_inspection(self.plant.sensed.cell)
@@ -200,3 +200,39 @@ def plant_of(
     start = random_start(sensed.cell, np.random.default_rng([trial.seed, 2]))
     scene = sample_scene(sensed.cell, trial.seed)
     return Plant(sensed, scene, ticks(sensed, config.tick), model, start)
+
+
+def _tool_error(wanted: np.ndarray, tool: np.ndarray) -> tuple[float, float]:
+    """Distance [m] and largest Euler angle [rad] of a tool pose `[7]` from a key pose `[8]`."""
+    row = pose_row(wanted)
+    error = pose_of(row[:3], row[3:]).inv() * pose_of(tool[:3], tool[3:])
+    angle = np.abs(error.rotation.as_euler("xyz")).max()
+    return float(np.linalg.norm(error.translation)), float(angle)
+
+
+def judge(plant: Plant, task: Task) -> Judgement:
+    """Does the brush stand at the end of its stroke? See `contracts.ExecutionModule`."""
+    distance, angle = _tool_error(task.key_poses[-1], plant.tools(MEASURED)[-1])
+    failure = "" if distance <= EXACT[0] and angle <= EXACT[1] else "inexact"
+    return Judgement(failure, {"away_mm": 1e3 * distance, "turned_deg": float(np.degrees(angle))})
+
+
+def show(cell: Workcell, plan: Planning, seed: int, count: int) -> Showcase:
+    """Brush `count` parts, each in its own scene."""
+    parts = [spec.name for spec in require_inspection(cell).parts]
+    trials = [Trial(parts[3 * i % len(parts)], seed + i) for i in range(count)]
+    reports = inspect_parts(cell, plan, trials)
+    rows = [
+        {
+            "name": r.trial.part,
+            "success": r.succeeded(*EXACT),
+            "cause": r.cause,
+            "detail": r.detail,
+            "shares": r.shares,
+            "planning_s": r.planning_s,
+            "cycle_s": r.seconds,
+        }
+        for r in reports
+    ]
+    frames = np.concatenate([r.frames for r in reports])
+    return Showcase(rows, frames, sum(len(r.touches) for r in reports))

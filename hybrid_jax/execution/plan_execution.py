@@ -10,7 +10,6 @@ import numpy as np
 from hybrid_jax.errors import InputError
 from hybrid_jax.execution.contact_sensors import OBJECTS
 from hybrid_jax.execution.plant import Plant, Steps
-from hybrid_jax.tasks.handling import object_in_tool, placed_pose
 from hybrid_jax.tasks.task import Task, yaw_of
 from hybrid_jax.types import Trajectory
 
@@ -88,7 +87,9 @@ class Execution:
             raise InputError(f"the arm is {distance:.2f} rad away from where the plan starts")
         self.plant, self.task, self.phases, self.config = plant, task, phases, config
         self.object = plant.layout.object_names.index(task.object_name)
-        self.gripper = plant.spec.gripper
+        gripper = plant.spec.gripper
+        self.opened, self.closed = (gripper.open, gripper.squeeze) if gripper else (0.0, 0.0)
+        """Commands of the gripper [m]; without one they are sent to nobody."""
         self.seen = plant.objects()
         self.lying = self._lying()
         self.disturb: Callable[[int], None] | None = None
@@ -119,17 +120,17 @@ class Execution:
                 if not self.gripped():
                     yield from self.open()
                     return Ending.MISSED
-                ending = yield from self.follow(trajectory, self.gripper.squeeze, self.lost)
+                ending = yield from self.follow(trajectory, self.closed, self.lost)
             else:
                 if carried_before:
                     yield from self.open()
                 monitor = (lambda time: None) if carried_before else self.hindered
-                ending = yield from self.follow(trajectory, self.gripper.open, monitor)
+                ending = yield from self.follow(trajectory, self.opened, monitor)
             if ending:
                 if held:
                     yield from self.open()
                 return ending
-        yield from self.hold(self.gripper.open, self.config.settle)
+        yield from self.hold(self.opened, self.config.settle)
         return Ending.DONE
 
     def follow(self, trajectory: Trajectory, grip: float, watch) -> Steps:
@@ -182,7 +183,7 @@ class Execution:
 
     def close(self) -> Steps:
         """Close the gripper, and note where in the tool the object is gripped."""
-        yield from self.hold(self.gripper.squeeze, self.config.grip_time)
+        yield from self.hold(self.closed, self.config.grip_time)
         self.gripped_at = self.plant.object_in_tool(self.object)
         if self.config.weld:
             self._weld(1.0)
@@ -190,7 +191,7 @@ class Execution:
     def open(self) -> Steps:
         """Open the gripper."""
         self._weld(0.0)
-        yield from self.hold(self.gripper.open, self.config.grip_time)
+        yield from self.hold(self.opened, self.config.grip_time)
 
     def _weld(self, active: float) -> None:
         name = f"weld {self.task.object_name}"
@@ -198,10 +199,9 @@ class Execution:
 
     def gripped(self) -> bool:
         """Is the object between the pads?"""
-        spec = self.plant.spec.object(self.task.object_name)
-        nominal = object_in_tool(spec, self.task.grasp)[:3]
-        centred = np.linalg.norm(self.gripped_at - nominal) < self.config.grasp_error
-        not_closed = self.plant.opening() > spec.grip / 2
+        hold = self.task.require_hold()
+        centred = np.linalg.norm(self.gripped_at - hold.in_tool[:3]) < self.config.grasp_error
+        not_closed = self.plant.opening() > hold.opening / 2
         return self.config.weld or bool(centred and not_closed and self.plant.pads_on(self.object))
 
     def lost(self, time: float) -> Ending | None:
@@ -250,7 +250,8 @@ class Execution:
         allowed, columns = self.plant.resting(self.object), self.plant.sensed.things
         row = OBJECTS + self.object
         allowed[row] = allowed[OBJECTS:, self.object] = False
-        allowed[row, [columns.index(support) for support in self.task.support]] = True
+        support = self.task.hold.support if self.task.hold else ()
+        allowed[row, [columns.index(body) for body in support]] = True
         return allowed | self.lying
 
     def allowed(self, grip: float) -> np.ndarray:
@@ -265,16 +266,17 @@ class Execution:
             `[mover, thing]` True where a contact is allowed.
         """
         allowed, columns = self.reaching(), self.plant.sensed.things
-        if grip == self.gripper.open:
+        if grip == self.opened:
             return allowed
         row = OBJECTS + self.object
         allowed[row] = allowed[OBJECTS:, self.object] = False
         position = self.plant.objects()[self.object, :3]
-        supported_poses = self.seen[self.object], placed_pose(self.plant.sensed.cell, self.task)
-        for support, end in zip(self.task.support, supported_poses, strict=True):
-            allowed[row, columns.index(support)] = (
-                np.linalg.norm(position - end[:3]) < self.config.near
-            )
+        support = self.task.require_hold().support
+        ends = self.seen[self.object], self.task.placed_pose
+        # it is lifted from the first and put on the last; they may be one
+        for body, end in zip(support[:1] + support[-1:], ends, strict=bool(support)):
+            near = np.linalg.norm(position - end[:3]) < self.config.near
+            allowed[row, columns.index(body)] |= near
         return allowed
 
 

@@ -1,15 +1,18 @@
 # SPDX-License-Identifier: MIT
 """Serve many controllers at once: physics for all that ask, then plans for all that wait."""
 
+import itertools
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import jax
 import numpy as np
 
-from hybrid_jax.contracts import PhysicsEngine, Planning
+from hybrid_jax.contracts import PhysicsEngine, Planning, PlanResult
 from hybrid_jax.errors import InputError
 from hybrid_jax.execution.plant import PhysicsAnswer, PhysicsRequest, PlanAnswer, PlanRequest, Steps
+from hybrid_jax.runtime.keys import fold_in
 
 
 def drive(
@@ -75,3 +78,17 @@ def _plan(plan: Planning | None, requests: dict[int, PlanRequest]) -> dict[int, 
     results = plan([request.task for request in requests.values()])
     seconds = (time.perf_counter() - start_time) / len(requests)
     return {n: PlanAnswer(result, seconds) for n, result in zip(requests, results, strict=True)}
+
+
+def planning(plan: Callable[..., list[PlanResult]], seed: int) -> Planning:
+    """A planner in the form that the scheduler calls; every batch gets its own random key.
+
+    Args:
+        plan: maps tasks, and a random key given as `key=`, to plans.
+        seed: of the keys.
+
+    Returns:
+        A function from tasks to plans.
+    """
+    key, numbers = jax.random.key(seed), itertools.count()
+    return lambda tasks: plan(tasks, key=fold_in(key, next(numbers)))

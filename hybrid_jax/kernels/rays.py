@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Distance along a ray to a primitive or to the whole cell: the paper's 25-ray sensor.
-
-A direction is three components, each an array of the rays' shape or a scalar; distances have that
-shape. Origins and primitives are shared by all rays.
-"""
+"""Distances along rays to the cell: the paper's 25-ray sensor."""
 
 import jax
 import jax.numpy as jnp
@@ -14,8 +10,8 @@ from jaxtyping import Float
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.argument_checks import checks
 from hybrid_jax.kernels.argument_checks import pose as pose_input
+from hybrid_jax.kernels.collision.primitive_kinds import KINDS, PrimitiveKind, spans
 from hybrid_jax.kernels.collision.rounded_boxes import world_shapes
-from hybrid_jax.kernels.vec3 import dot, sub
 from hybrid_jax.types import Workcell
 
 RAY_COUNT = 25
@@ -36,78 +32,6 @@ def fibonacci_directions(count: int) -> np.ndarray:
 _DIRECTIONS = fibonacci_directions(RAY_COUNT)
 
 
-def ray_capsule(origin, direction, ends, radius) -> Float[Array, ""]:
-    """Distance to a capsule along rays [m]; infinity for a miss.
-
-    From inside, the distance to where the ray leaves, as in MuJoCo.
-
-    Args:
-        origin: `[3]` where the rays start [m].
-        direction: three components `[...]` of unit vectors.
-        ends: `[2, 3]` ends of the capsule's axis [m]; equal for a sphere.
-        radius: of the capsule [m].
-
-    Returns:
-        `[...]` distances [m].
-    """
-    axis, m = sub(ends[1], ends[0]), sub(origin, ends[0])
-    sq = dot(axis, axis)
-    # a sphere's axis has no length: with 1 here the cylinder below is the sphere itself
-    sq = jnp.where(sq > 0, sq, 1.0)
-    md, nd, dd = dot(m, axis), dot(direction, axis), dot(m, direction)
-    a = 1 - nd * nd / sq
-    usable = a > 1e-9
-    b, c = dd - nd * md / sq, dot(m, m) - md * md / sq - radius * radius
-    det = b * b - a * c
-    root = jnp.sqrt(jnp.maximum(det, 0.0))
-    nearest = jnp.inf
-    for sign in (-1.0, 1.0):
-        t = (-b + sign * root) / jnp.where(usable, a, 1.0)
-        share = (md + t * nd) / sq
-        on_side = usable & (det >= 0) & (share >= 0) & (share <= 1) & (t >= 0)
-        nearest = jnp.minimum(nearest, jnp.where(on_side, t, jnp.inf))
-    for end, outer in ((ends[0], -1.0), (ends[1], 1.0)):
-        m_end = sub(origin, end)
-        bc, det_c = dot(m_end, direction), dot(m_end, m_end) - radius * radius
-        det_c = bc * bc - det_c
-        root_c = jnp.sqrt(jnp.maximum(det_c, 0.0))
-        for sign in (-1.0, 1.0):
-            t = -bc + sign * root_c
-            # only the half of the sphere that sticks out of the cylinder belongs to the surface
-            beyond = outer * (dot(m_end, axis) + t * nd) >= 0
-            nearest = jnp.minimum(nearest, jnp.where((det_c >= 0) & (t >= 0) & beyond, t, jnp.inf))
-    return nearest
-
-
-def ray_box(origin, direction, pose: Float[Array, "7"], half: Array) -> Float[Array, ""]:
-    """Distance to a box along rays [m]; infinity for a miss, and from inside that to the exit.
-
-    Args:
-        origin: `[3]` where the rays start [m].
-        direction: three components `[...]` of unit vectors.
-        pose: `[7]` the box's centre in the world [m], quaternion.
-        half: `[3]` half extents [m].
-
-    Returns:
-        `[...]` distances [m].
-    """
-    rotation, offset = dq.quat_matrix(pose[3:]), sub(origin, pose)
-    t_entry, t_exit = -jnp.inf, jnp.inf
-    for i in range(3):
-        start = sum(offset[j] * rotation[j, i] for j in range(3))
-        slope = sum(direction[j] * rotation[j, i] for j in range(3))
-        parallel = jnp.abs(slope) < 1e-9
-        inverse = 1.0 / jnp.where(parallel, 1.0, slope)
-        t0, t1 = (-half[i] - start) * inverse, (half[i] - start) * inverse
-        # a ray along a slab meets it everywhere or nowhere
-        blocked = jnp.where(jnp.abs(start) <= half[i], -jnp.inf, jnp.inf)
-        t_entry = jnp.maximum(t_entry, jnp.where(parallel, blocked, jnp.minimum(t0, t1)))
-        t_exit = jnp.minimum(t_exit, jnp.where(parallel, -blocked, jnp.maximum(t0, t1)))
-    return jnp.where(
-        (t_entry <= t_exit) & (t_exit >= 0), jnp.where(t_entry >= 0, t_entry, t_exit), jnp.inf
-    )
-
-
 def cast(
     cell: Workcell, origin: Float[Array, "3"], directions: Float[Array, "ray 3"]
 ) -> Float[Array, " ray"]:
@@ -124,24 +48,21 @@ def cast(
     world = world_shapes(cell)
     components = [directions[:, i] for i in range(3)]
 
-    def nearest(best, kind, columns, on):
+    def nearest(best, kind: PrimitiveKind, span: slice):
         def step(best, column):
             primitive, seen = column
-            length = kind(origin, components, *primitive)
+            length = kind.ray(origin, components, *primitive)
             return jnp.minimum(best, jnp.where(seen > 0, length, jnp.inf)), None
 
-        return jax.lax.scan(step, best, (columns, on))[0] if on.size else best
+        if span.start == span.stop:
+            return best
+        operands = kind.ray_operands(world.pose[span], world.half_extents[span], world.radius[span])
+        return jax.lax.scan(step, best, (operands, world.active[span]))[0]
 
-    capsules, boxes = slice(0, world.capsule_count), slice(world.capsule_count, None)
-    axis = dq.quat_rotate(world.pose[:, 3:], world.half_extents * jnp.array([0.0, 0.0, 1.0]))
-    ends = jnp.stack([world.pose[:, :3] - axis, world.pose[:, :3] + axis], axis=1)
     best = jnp.full(directions.shape[0], jnp.inf, directions.dtype)
-    best = nearest(
-        best, ray_capsule, (ends[capsules], world.radius[capsules]), world.active[capsules]
-    )
-    return nearest(
-        best, ray_box, (world.pose[boxes], world.half_extents[boxes]), world.active[boxes]
-    )
+    for kind, span in zip(KINDS, spans(world.counts), strict=True):
+        best = nearest(best, kind, span)
+    return best
 
 
 @checks(pose=pose_input)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Motions over the gaps of a route: by the joint agent, else by RRT-Connect (Algorithm 3)."""
+"""Motions over the gaps of a route: by the joint agent, else by a fallback (Algorithm 3)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -29,17 +29,20 @@ class Way:
     """The method that found it."""
 
 
-def rrt_bridger(cell: Workcell, config: RrtConfig) -> Bridger:
+def rrt_bridger(cell: Workcell, config: RrtConfig | None) -> Bridger | None:
     """RRT-Connect as a `Bridger`.
 
     Args:
         cell: robot and fixtures.
-        config: settings of the search.
+        config: settings of the search; None for none.
 
     Returns:
         A function of segments (`start` and `goal` `[segment, joint]`) and a key. It returns way
         points `[way point, joint]` [rad or m] of each segment, proven free of collision, or None.
+        Without settings there is no function: None.
     """
+    if config is None:
+        return None
 
     def bridge(segments: Segments, key: Array) -> list[np.ndarray | None]:
         bridges: list[np.ndarray | None] = []

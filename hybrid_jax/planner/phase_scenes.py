@@ -10,8 +10,6 @@ from jax import Array
 from jaxtyping import Float
 
 from hybrid_jax.planner.trajectory_check import PhaseScene
-from hybrid_jax.tasks.handling import object_in_tool, placed_pose, require_handling
-from hybrid_jax.tasks.scene_sampling import require_task_data
 from hybrid_jax.tasks.task import Task
 from hybrid_jax.types import Scene, Workcell
 from hybrid_jax.workcell import scene as scenes
@@ -31,14 +29,15 @@ def segment_kinds(task: Task) -> np.ndarray:
     return kinds
 
 
-@functools.partial(jax.jit, static_argnames=("name", "grasp", "support"))
+@functools.partial(jax.jit, static_argnames=("name", "support"))
 def kind_scenes(
     cell: Workcell,
     poses: Float[Array, "object 7"],
     put: Float[Array, "7"],
+    in_tool: Float[Array, "7"],
+    openings: Float[Array, "2"],
     *,
     name: str,
-    grasp: int,
     support: tuple[str, ...],
 ) -> Scene:
     """Scenes of the four kinds of segments, stacked in their order.
@@ -47,35 +46,38 @@ def kind_scenes(
         cell: the cell, in any scene.
         poses: `[object, 7]` where the objects lie at first: position [m], quaternion.
         put: `[7]` where the carried object lies in the end.
+        in_tool: `[7]` the carried object in the tool: position [m], quaternion.
+        openings: `[2]` opening of each finger while nothing is held, and around the object [m].
         name: object to be carried.
-        grasp: which of its grasps is used.
         support: fixtures that it may touch where it is lifted and put down.
 
     Returns:
         Scenes with a leading axis `[kind]`.
     """
-    data = require_handling(cell)
-    spec, index = data.object(name), scenes.object_index(cell, name)
-    cell_before = scenes.with_opening(scenes.place_objects(cell, poses), data.gripper.open)
-    in_tool = jnp.asarray(object_in_tool(spec, grasp), jnp.float32)
-    held_cell = scenes.with_opening(scenes.attach(cell_before, name, in_tool), spec.grip)
-    final_poses = poses.at[index].set(put)
-    cell_after = scenes.with_opening(scenes.place_objects(cell, final_poses), data.gripper.open)
+    cell_before = scenes.with_opening(scenes.place_objects(cell, poses), openings[0])
+    held_cell = scenes.with_opening(scenes.attach(cell_before, name, in_tool), openings[1])
+    final_poses = poses.at[scenes.object_index(cell, name)].set(put)
+    cell_after = scenes.with_opening(scenes.place_objects(cell, final_poses), openings[0])
     on_support, lifted = scenes.with_support(held_cell, support), scenes.with_support(held_cell, ())
     # the kinds of segments are indices into this order
     return stack_scenes([c.scene for c in (cell_before, on_support, cell_after, lifted)])
 
 
-def _open(cell: Workcell) -> float:
-    """Opening of each finger while nothing is held [m]; 0 where there is no gripper."""
-    gripper = require_task_data(cell).gripper
-    return gripper.open if gripper else 0.0
+def _opening_at_home(cell: Workcell) -> float:
+    """Opening of each finger in the keyframe `home` [m]; 0 where there are no fingers."""
+    fingers, model = cell.source.layout.fingers, cell.model
+    return float(home_qpos(model)[model.jnt_qposadr[fingers[0]]]) if fingers else 0.0
+
+
+def _opening(cell: Workcell, task: Task) -> float:
+    """Opening of each finger while nothing is held [m]."""
+    return _opening_at_home(cell) if task.opening is None else task.opening
 
 
 @jax.jit
-def _resting_scene(cell: Workcell, poses: Float[Array, "object 7"]) -> Scene:
+def _resting_scene(cell: Workcell, poses: Float[Array, "object 7"], opening: float) -> Scene:
     """The scene with objects at `poses` `[object, 7]` while nothing is held."""
-    return scenes.with_opening(scenes.place_objects(cell, poses), _open(cell)).scene
+    return scenes.with_opening(scenes.place_objects(cell, poses), opening).scene
 
 
 def task_scenes(cell: Workcell, task: Task) -> Scene:
@@ -86,11 +88,16 @@ def task_scenes(cell: Workcell, task: Task) -> Scene:
     """
     poses = jnp.asarray(task.object_poses, jnp.float32)
     if not any(task.carrying):
-        scene, count = jax.device_get(_resting_scene(cell, poses)), len(task.carrying)
+        scene = jax.device_get(_resting_scene(cell, poses, _opening(cell, task)))
+        count = len(task.carrying)
         return jax.tree.map(lambda a: np.broadcast_to(a, (count, *a.shape)), scene)
-    put = jnp.asarray(placed_pose(cell, task), jnp.float32)
+    hold = task.require_hold()
+    put, in_tool, openings = (
+        jnp.asarray(values, jnp.float32)
+        for values in (task.placed_pose, hold.in_tool, (_opening(cell, task), hold.opening))
+    )
     kind_stack = kind_scenes(
-        cell, poses, put, name=task.object_name, grasp=task.grasp, support=task.support
+        cell, poses, put, in_tool, openings, name=task.object_name, support=hold.support
     )
     kind_stack, kinds = jax.device_get(kind_stack), segment_kinds(task)
     return jax.tree.map(lambda a: a[kinds], kind_stack)
@@ -112,20 +119,19 @@ def phase_scene(cell: Workcell, task: Task, kind: int) -> PhaseScene:
     poses = np.array(task.object_poses)
     if kind == LEAVING:
         index = cell.source.layout.object_names.index(task.object_name)
-        poses[index] = placed_pose(cell, task)
+        poses[index] = task.placed_pose
     if kind in (REACHING, LEAVING):
-        return PhaseScene(poses, _open(cell), None, None, ())
-    spec = require_handling(cell).object(task.object_name)
-    in_tool, support = object_in_tool(spec, task.grasp), task.support if kind == CARRYING else ()
-    return PhaseScene(poses, spec.grip, task.object_name, in_tool, support)
+        return PhaseScene(poses, _opening(cell, task), None, None, ())
+    hold = task.require_hold()
+    support = hold.support if kind == CARRYING else ()
+    return PhaseScene(poses, hold.opening, task.object_name, hold.in_tool, support)
 
 
 def home_scene(cell: Workcell) -> PhaseScene:
     """The scene of the keyframe `home`, for the final check: nothing is held."""
-    qpos, layout, model = home_qpos(cell.model), cell.source.layout, cell.model
-    poses = np.array([qpos[a : a + 7] for a in layout.object_qpos]).reshape(-1, 7)
-    fingers = [float(qpos[model.jnt_qposadr[j]]) for j in layout.fingers]
-    return PhaseScene(poses, fingers[0] if fingers else 0.0, None, None, ())
+    qpos, addresses = home_qpos(cell.model), cell.source.layout.object_qpos
+    poses = np.array([qpos[a : a + 7] for a in addresses]).reshape(-1, 7)
+    return PhaseScene(poses, _opening_at_home(cell), None, None, ())
 
 
 def in_scene(cell: Workcell, scene: PhaseScene) -> Workcell:

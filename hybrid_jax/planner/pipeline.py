@@ -17,7 +17,7 @@ from hybrid_jax.contracts import PlanResult
 from hybrid_jax.kernels.argument_checks import single_precision
 from hybrid_jax.kernels.collision.motion_validation import clearances_in_scenes
 from hybrid_jax.planner.branch_selection import Leg, Routes, label_paths
-from hybrid_jax.planner.bridging import Way, bridge_gaps, rrt_bridger
+from hybrid_jax.planner.bridging import Way, bridge_gaps
 from hybrid_jax.planner.infeasible_segments import gap_segment
 from hybrid_jax.planner.lfd import SkillPath, skill_paths, without_skills
 from hybrid_jax.planner.phase_scenes import task_scenes
@@ -134,7 +134,6 @@ def _plan_once(planner: Planner, tasks: Sequence[Task], key: Array) -> list[Plan
     key_label, key_bridge = split(key, 2)
     checker, config = ConfigurationChecker(planner.cell, planner.config.check), planner.config
     results, jobs = prepare(planner, checker, tasks, key_label)
-    fallback = rrt_bridger(planner.cell, config.fallback) if config.fallback else None
     for attempt in range(config.attempts):
         active = [job for job in jobs.values() if not job.done]
         for job in active:
@@ -142,7 +141,7 @@ def _plan_once(planner: Planner, tasks: Sequence[Task], key: Array) -> list[Plan
         active = [job for job in active if not job.done]
         if not active:
             break
-        bridge_jobs(planner, fallback, active, fold_in(key_bridge, attempt))
+        bridge_jobs(planner, active, fold_in(key_bridge, attempt))
         finish_jobs(planner, checker, active)
     return [jobs[i].result() if i in jobs else results[i] for i in range(len(tasks))]
 
@@ -244,7 +243,7 @@ def choose_route(planner: Planner, checker: ConfigurationChecker, job: Job) -> N
     job.legs = [job.routes.leg(name) for name in names]
 
 
-def bridge_jobs(planner: Planner, fallback, jobs: list[Job], key: Array) -> None:
+def bridge_jobs(planner: Planner, jobs: list[Job], key: Array) -> None:
     """Bridge the gaps of routes by Algorithm 3: traj_DRL (Alg. 1, l. 29-31)."""
     gaps = [
         (job, leg) for job in jobs for leg in job.legs if leg.has_gap and leg.name not in job.ways
@@ -252,21 +251,21 @@ def bridge_jobs(planner: Planner, fallback, jobs: list[Job], key: Array) -> None
     if not gaps:
         return
     segments = [gap_segment(leg, job.scenes) for job, leg in gaps]
-    ways = bridge_gaps(planner.bridge, fallback, segments, key)
+    ways = bridge_gaps(planner.bridge, planner.fallback, segments, key)
     for (job, leg), way in zip(gaps, ways, strict=True):
         if way is not None:
             job.ways[leg.name] = way
             continue
         start, end = leg.name[0], leg.name[0] + 1
-        job.status, job.detail = Status.NO_PATH, why_unbridged(planner, fallback, start, end)
+        job.status, job.detail = Status.NO_PATH, why_unbridged(planner, start, end)
         job.routes.forbid(leg.name)
 
 
-def why_unbridged(planner: Planner, fallback, start: int, end: int) -> str:
+def why_unbridged(planner: Planner, start: int, end: int) -> str:
     """A sentence about a gap between two key poses that has not been bridged."""
     gap = "" if planner.config.direct else " around an infeasible part of the skill's path"
     where = f"key pose {start} to {end}: no way{gap}"
-    methods = {"the joint agent": planner.bridge, "RRT-Connect": fallback}
+    methods = {"the joint agent": planner.bridge, "the fallback planner": planner.fallback}
     tried = " or ".join(name for name, method in methods.items() if method)
     return (
         f"{where} was found by {tried}" if tried else f"{where}: nothing is there to look for one"

@@ -40,8 +40,8 @@ class PlannerConfig:
     attempts: int = 8
     """Number of routes of a task that are tried, best first."""
     fallback: RrtConfig | None = RrtConfig(margin=0.001)
-    """RRT-Connect for gaps that the joint agent does not bridge; None gives up there. Beside key
-    poses there is no room for a larger margin."""
+    """RRT-Connect as `Planner.fallback`; None for a planner without one. Beside key poses there is
+    no room for a larger margin."""
 
     @property
     def first_look(self) -> PathIkConfig:
@@ -60,10 +60,13 @@ class Planner:
     choose: SkillChooser
     """Task planner of RL-LfD: it picks skills for the segments of a task."""
     bridge: Bridger | None
-    """DRL-Feasibility agent (joint agent); None leaves gaps to `PlannerConfig.fallback`."""
+    """DRL-Feasibility agent (joint agent); None leaves all gaps to the fallback."""
     switch: Switcher
     """Switching agent: it chooses between skill and joint agent at each grid point."""
     scale: float
     """Manipulability that counts as 1 (from the feasibility map)."""
     config: PlannerConfig = PlannerConfig()
     """Settings."""
+    fallback: Bridger | None = None
+    """A planner without learning, for gaps that the joint agent does not bridge; see
+    `bridging.rrt_bridger`. None gives up there."""

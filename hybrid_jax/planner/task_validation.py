@@ -26,6 +26,8 @@ def _bad_numbers(cell: Workcell, task: Task) -> str | None:
     names = cell.source.layout.object_names
     if task.object_name not in names:
         return f"unknown object {task.object_name!r}; there are: {', '.join(sorted(names))}"
+    if any(task.carrying) and task.hold is None:
+        return f"{task.object_name!r} is carried, but the task does not say how: give it a `hold`"
     shape = (len(names), 7)
     if np.shape(task.object_poses) != shape:
         return f"object_poses must have shape {shape}, got {np.shape(task.object_poses)}"

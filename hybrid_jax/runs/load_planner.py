@@ -13,11 +13,13 @@ from hybrid_jax.demonstrations.demonstration import load_demonstrations
 from hybrid_jax.errors import RunFolderError
 from hybrid_jax.feasibility.building import load_map
 from hybrid_jax.kernels.argument_checks import single_precision
+from hybrid_jax.planner.bridging import rrt_bridger
 from hybrid_jax.planner.lfd import optimal_chooser
-from hybrid_jax.planner.records import Planner
+from hybrid_jax.planner.records import Planner, PlannerConfig
 from hybrid_jax.runs.run_folder import Run
 from hybrid_jax.runtime import artifacts
 from hybrid_jax.skills.library import SkillLibrary, build_library
+from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.assets import demonstrations_folder
 
 
@@ -88,6 +90,26 @@ def load_learned_chooser(run: Run) -> SkillChooser:
     return dqn.make_chooser(run.preset.dqn, jax.tree.map(jnp.asarray, state))
 
 
+def untrained_planner(
+    cell: Workcell,
+    scale: float,
+    config: PlannerConfig = PlannerConfig(),
+    skills: Path | None = None,
+) -> Planner:
+    """A planner without anything learned: exact agents, and the fallback over all gaps.
+
+    Args:
+        cell: robot, fixtures and objects.
+        scale: manipulability that counts as 1; a feasibility map tells what is usual in the cell.
+        config: settings.
+        skills: folder of demonstrations; the shipped ones if None.
+    """
+    fallback = rrt_bridger(cell, config.fallback)
+    switch = optimal_switcher(switching.SwitchConfig())
+    library = read_library(skills)
+    return Planner(cell, library, optimal_chooser, None, switch, scale, config, fallback)
+
+
 @single_precision
 def load_planner(run: Run, *, switch: str = "learned") -> Planner:
     """Assemble the planner of a run from its finished stages.
@@ -122,4 +144,5 @@ def load_planner(run: Run, *, switch: str = "learned") -> Planner:
         switch=learned_switcher(run) if switch == "learned" else optimal_switcher(preset.switch),
         scale=read_scale(run),
         config=preset.planner,
+        fallback=rrt_bridger(cell, preset.planner.fallback),
     )

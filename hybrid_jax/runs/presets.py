@@ -31,7 +31,7 @@ class Preset:
     """Number of further tasks, on which nothing is trained."""
     switch_tasks: int = 24
     """Number of training tasks whose combined trajectories the switching agent sees."""
-    demo_objects: int = 5
+    showcase_tasks: int = 5
     """Number of objects in the demonstration at the end."""
 
 
@@ -104,7 +104,7 @@ SMOKE = Preset(
     tasks=4,
     held_out=2,
     switch_tasks=4,
-    demo_objects=1,
+    showcase_tasks=1,
 )
 """Settings for tests: every stage runs once and learns next to nothing."""
 

@@ -30,7 +30,7 @@ _CONFIG = {
 """Types of the fields of `config.json`."""
 FORMAT = 2
 """Version of `config.json`. Version 1 had no names of record kinds; its settings were not read."""
-STAGES = ("map", "lfd", "drl", "switch", "demo")
+STAGES = ("map", "lfd", "drl", "switch", "showcase")
 """Stages of a run, in order."""
 
 
@@ -67,7 +67,7 @@ class Run:
 
     def finished(self, stage: str) -> bool:
         """Has this stage left its result?"""
-        return self.path("demo.json" if stage == "demo" else f"{stage}.npz").is_file()
+        return self.path("showcase.json" if stage == "showcase" else f"{stage}.npz").is_file()
 
     def save(self, name: str, kind: str, tree: Any, **header) -> None:
         """Write a pytree of arrays, marked with this run's cell."""

@@ -24,6 +24,8 @@ HANDLING_STUDY = range(5_000_000, 5_010_000)
 """Scenes of the handling study."""
 INSPECTION_STUDY = range(5_100_000, 5_200_000)
 """Trials of the inspection study: scene, start and part."""
+SINGLE_TASK_STUDY = range(5_800_000, 5_810_000)
+"""Tasks of kinds that have no study of their own."""
 PLANNING_TEST = range(5_200_000, 5_210_000)
 """Tasks that planners are compared on."""
 PLANNING_WARM_UP = range(5_210_000, 5_220_000)
@@ -46,6 +48,7 @@ SEEN = ("EXAMPLES", "SPENT", "TRAINING", "BENCHMARK_TRAINING", "LFD_TRAINING", "
 HELD_OUT = (
     "HANDLING_STUDY",
     "INSPECTION_STUDY",
+    "SINGLE_TASK_STUDY",
     "PLANNING_TEST",
     "PLANNING_WARM_UP",
     "PLANNING_BATCHES",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The stages of a training run: map, three agents, demonstration. Each leaves files in the run.
+"""The stages of a training run: map, three agents, showcase. Each leaves files in the run.
 
 The file that marks a stage as finished is written last, so a run can be stopped at any moment.
 """
@@ -17,16 +17,18 @@ from hybrid_jax.agents import dqn, hdqn_networks, joint, switching
 from hybrid_jax.contracts import Combined, Segments
 from hybrid_jax.envs.segments import refuse_infeasible, with_room
 from hybrid_jax.errors import RunFolderError
+from hybrid_jax.execution.scheduler import planning
+from hybrid_jax.execution.single_tasks import execution_of
 from hybrid_jax.feasibility import building
 from hybrid_jax.feasibility.evaluation import Reason
 from hybrid_jax.planner import infeasible_segments
 from hybrid_jax.planner.lfd import optimal_chooser
+from hybrid_jax.planner.pipeline import plan_batch
 from hybrid_jax.reports import film, run_pictures
 from hybrid_jax.runs import seeds
 from hybrid_jax.runs.checkpoints import discard, train_agent
 from hybrid_jax.runs.load_planner import load_planner, read_library, read_scale
 from hybrid_jax.runs.run_folder import Run
-from hybrid_jax.runs.showcase import show
 from hybrid_jax.runs.switch_problems import combined_phases
 from hybrid_jax.runtime import artifacts
 from hybrid_jax.runtime.progress import Progress
@@ -241,15 +243,17 @@ def run_switch(run: Run, quiet: bool) -> dict:
     }
 
 
-def run_demo(run: Run, quiet: bool) -> dict:
+def run_showcase(run: Run, quiet: bool) -> dict:
     """Plan a few of the cell's tasks and carry them out in physics."""
-    showcase = show(load_planner(run), run.seed, run.preset.demo_objects)
+    plan = planning(functools.partial(plan_batch, load_planner(run)), run.seed)
+    count = run.preset.showcase_tasks
+    showcase = execution_of(run.cell).show(run.cell, plan, run.seed, count)
     rows = [{"step": i} | row for i, row in enumerate(showcase.rows)]
     for row in rows:
-        run.log("demo", row)
+        run.log("showcase", row)
         if not quiet:
-            remark(f"demo    {row['name']}: {row['cause'] or 'done'} {row['detail']}".rstrip())
-    film.save(run.path("demo"), film.render(run.cell.model, showcase.frames))
+            remark(f"showcase {row['name']}: {row['cause'] or 'done'} {row['detail']}".rstrip())
+    film.save(run.path("showcase"), film.render(run.cell.model, showcase.frames))
     by_both = [r["success"] and 0 < r["shares"].get(Source.DRL.name, 0) < 1 for r in rows]
     summary = {
         "objects": len(rows),
@@ -258,7 +262,7 @@ def run_demo(run: Run, quiet: bool) -> dict:
         "touched": showcase.touched,
     }
     text = json.dumps({"summary": summary, "objects": rows}, indent=1)
-    artifacts.write_text(run.path("demo.json"), text)
+    artifacts.write_text(run.path("showcase.json"), text)
     return summary
 
 
@@ -267,13 +271,13 @@ STAGE_FUNCTIONS: dict[str, Stage] = {
     "lfd": run_lfd,
     "drl": run_drl,
     "switch": run_switch,
-    "demo": run_demo,
+    "showcase": run_showcase,
 }
 """The function of each stage, in order."""
 
 
 def learn(run: Run, quiet: bool = False) -> None:
-    """Run the stages that the run lacks and a planner needs: all but the demonstration."""
+    """Run the stages that the run lacks and a planner needs: all but the showcase."""
     for stage, function in STAGE_FUNCTIONS.items():
-        if stage != "demo" and not run.finished(stage):
+        if stage != "showcase" and not run.finished(stage):
             function(run, quiet)

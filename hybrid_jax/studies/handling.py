@@ -7,7 +7,7 @@ from dataclasses import asdict
 import numpy as np
 
 from hybrid_jax.baselines.ablations import ABLATIONS
-from hybrid_jax.execution.batches import SortingReport, sort_scenes
+from hybrid_jax.execution.handling import SortingReport, sort_scenes
 from hybrid_jax.runs import seeds
 from hybrid_jax.runs.run_folder import Run
 from hybrid_jax.studies.handling_pictures import draw_study

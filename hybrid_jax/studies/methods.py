@@ -19,9 +19,9 @@ from hybrid_jax.baselines.trained import paper_run, whole_space_agent
 from hybrid_jax.baselines.unchecked import follow_skills
 from hybrid_jax.contracts import PlanResult
 from hybrid_jax.errors import RunFolderError, UnknownNameError
-from hybrid_jax.execution.batches import planning
 from hybrid_jax.execution.disturbances import CALM, DISTURBED, Disturbance
 from hybrid_jax.execution.plan_execution import ExecutionConfig
+from hybrid_jax.execution.scheduler import planning
 from hybrid_jax.planner.pipeline import plan_batch
 from hybrid_jax.planner.records import Planner
 from hybrid_jax.runs.load_planner import load_learned_chooser, load_planner

@@ -2,19 +2,115 @@
 """Handling tasks: take an object from where it lies and put it into its tray."""
 
 import functools
+from dataclasses import dataclass, field
+from typing import Annotated, ClassVar
 
-import mujoco
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from hybrid_jax.tasks.scene_sampling import require_kind, sample_scene
-from hybrid_jax.tasks.task import Task, as_dual_quats, home_pose, start_of, upright, yaw_of
+from hybrid_jax.tasks.task import Hold, Task, as_dual_quats, home_pose, start_of, upright, yaw_of
 from hybrid_jax.types import Workcell, WorkcellSource
-from hybrid_jax.workcell.description import Handling, ObjectSpec
+from hybrid_jax.workcell.description import LENGTH, ControllerSpec, GripperSpec
 from hybrid_jax.workcell.layout import home_qpos
-from hybrid_jax.workcell.poses import as_row, pose_of, pose_row
+from hybrid_jax.workcell.poses import as_row, pose_of
+from hybrid_jax.workcell.records import Within, by_name, record, records
+
+EXECUTION = "hybrid_jax.execution.handling"
+STUDY = "hybrid_jax.studies.handling"
 
 _DOWN = Rotation.from_euler("x", np.pi)
+
+
+@dataclass(frozen=True)
+class TraySpec:
+    """A tray into which objects are put."""
+
+    name: str
+    """Body of the tray."""
+    half_size: Annotated[tuple[float, float], Within(1e-6, LENGTH)]
+    """Half of its inner length and width, along the body's x and y [m]."""
+    floor: Annotated[float, Within(-LENGTH, LENGTH)]
+    """Height of its inner floor above the body's origin [m]."""
+
+
+@dataclass(frozen=True)
+class ObjectSpec:
+    """A movable object: where it appears, how it is grasped, where it goes."""
+
+    name: str
+    """Free body."""
+    kind: str
+    """Kind of object: skills are demonstrated for each kind."""
+    tray: str
+    """Name of the tray that it belongs in."""
+    grasp: Annotated[tuple[float, float, float], Within(-LENGTH, LENGTH)]
+    """Tool centre in the object's frame [m]; the tool points down, the fingers open along x."""
+    grip: Annotated[float, Within(0.0, LENGTH)]
+    """Half width of the object between the fingers [m]."""
+    spawn: Annotated[tuple[float, float, float], Within(-LENGTH, LENGTH)]
+    """Middle of the region where it appears: x, y [m], yaw [rad]."""
+    jitter: Annotated[tuple[float, float, float], Within(0.0, LENGTH)]
+    """Half widths of that region [m, m, rad]."""
+    slot: Annotated[tuple[float, float, float], Within(-LENGTH, LENGTH)]
+    """Where it is put in the tray's frame: x, y [m], yaw [rad]."""
+    regrasp: tuple[tuple[float, float, float], ...] = ()
+    """Further grasps, like `grasp`: tried in turn where the first fails."""
+
+    @property
+    def grasps(self) -> tuple[tuple[float, float, float], ...]:
+        """All grasps, the best first."""
+        return (self.grasp, *self.regrasp)
+
+
+@dataclass(frozen=True)
+class Handling:
+    """A handling task: sort the objects into their trays."""
+
+    kind: ClassVar[str] = "handling"
+
+    tool_site: str
+    """Site that is the tool."""
+    gripper: GripperSpec
+    table: str
+    """Body whose surface the objects lie on."""
+    lift: Annotated[float, Within(0.0, LENGTH)]
+    """Height by which an object is lifted before it is carried [m]."""
+    hover: Annotated[float, Within(0.0, LENGTH)]
+    """Height above the place pose at which it arrives [m]."""
+    release: Annotated[float, Within(0.0, LENGTH)]
+    """Height above the tray's floor at which it is let go [m]."""
+    trays: tuple[TraySpec, ...]
+    objects: tuple[ObjectSpec, ...]
+    # not in the `repr`, of which the cell's hash is made: programs do not change what is planned
+    controller: ControllerSpec | None = field(default=None, repr=False)
+
+    def object(self, name: str) -> ObjectSpec:
+        """Object by name."""
+        return by_name("object", name, self.objects)
+
+    def tray(self, name: str) -> TraySpec:
+        """Tray by name."""
+        return by_name("tray", name, self.trays)
+
+    @property
+    def fixture_names(self) -> tuple[str, ...]:
+        """Bodies of the cell that the data name and that do not move."""
+        return (self.table, *(tray.name for tray in self.trays))
+
+    def held_in_tool(self, name: str) -> np.ndarray | None:
+        """Pose `[7]` of an object in the tool at its first grasp; None if it is not handled."""
+        names = [spec.name for spec in self.objects]
+        return object_in_tool(self.object(name)) if name in names else None
+
+
+def read(tables: dict, file: str) -> Handling:
+    """The task data of a TOML file's tables, see `contracts.TaskKind`."""
+    gripper = record(GripperSpec, tables.pop("gripper", {}), f"{file} [gripper]")
+    trays = records(TraySpec, tables.pop("trays", []), f"{file} [[trays]]")
+    objects = records(ObjectSpec, tables.pop("objects", []), f"{file} [[objects]]")
+    tables |= {"gripper": gripper, "trays": trays, "objects": objects}
+    return record(Handling, tables, file)
 
 
 def require_handling(cell: Workcell) -> Handling:
@@ -71,7 +167,7 @@ def _raised(pose: RigidTransform, height: float) -> RigidTransform:
     return RigidTransform.from_components(pose.translation + [0, 0, height], pose.rotation)
 
 
-def handling_task(
+def make_task(
     cell: Workcell,
     object_name: str,
     object_poses: np.ndarray,
@@ -110,25 +206,12 @@ def handling_task(
         (False, True, True, True, False),
         start,
         np.asarray(cell.home),
-        support=(data.table, spec.tray),
-        grasp=grasp,
+        hold=Hold(object_in_tool(spec, grasp), spec.grip, (data.table, spec.tray)),
+        opening=data.gripper.open,
     )
 
 
-def random_handling_task(cell: Workcell, seed: int) -> Task:
+def random_task(cell: Workcell, seed: int) -> Task:
     """The task of sorting one object of a random scene, with key poses `[6, 8]`."""
     objects = require_handling(cell).objects
-    return handling_task(cell, objects[seed % len(objects)].name, sample_scene(cell, seed))
-
-
-def placed_pose(cell: Workcell, task: Task) -> np.ndarray:
-    """Pose of a task's object when the gripper lets it go, for a task that carries it.
-
-    Returns:
-        `[7]` position [m] and quaternion, in the world.
-    """
-    release = task.key_poses[1 + int(np.flatnonzero(task.carrying)[-1])]
-    in_tool = object_in_tool(require_handling(cell).object(task.object_name), task.grasp)
-    tool, position, quat = pose_row(release), np.empty(3), np.empty(4)
-    mujoco.mju_mulPose(position, quat, tool[:3], tool[3:], in_tool[:3], in_tool[3:])
-    return np.concatenate([position, quat])
+    return make_task(cell, objects[seed % len(objects)].name, sample_scene(cell, seed))

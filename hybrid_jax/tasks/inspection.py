@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Inspection tasks: go over a tray, then brush one part from end to end (paper, experiments)."""
 
+import math
+from dataclasses import dataclass, field
+from typing import Annotated, ClassVar
+
 import jax
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -10,8 +14,12 @@ from hybrid_jax.kernels.collision.clearance import clearance
 from hybrid_jax.tasks.scene_sampling import require_kind, sample_scene
 from hybrid_jax.tasks.task import Task, as_dual_quats, home_pose, start_of
 from hybrid_jax.types import Workcell
-from hybrid_jax.workcell.description import FaceSpec, Inspection
+from hybrid_jax.workcell.description import LENGTH, ControllerSpec
 from hybrid_jax.workcell.poses import pose_of
+from hybrid_jax.workcell.records import Within, by_name, record, records
+
+EXECUTION = "hybrid_jax.execution.inspection"
+STUDY = "hybrid_jax.studies.inspection"
 
 _DOWN = Rotation.from_euler("x", np.pi)
 _TRIES = 1000
@@ -21,6 +29,93 @@ ROOM = 0.01
 """Least clearance of a random start [m]."""
 
 _clearance = jax.jit(clearance)
+
+
+@dataclass(frozen=True)
+class FaceSpec:
+    """A face that is brushed: a strip along a part's x axis that twists evenly about this axis."""
+
+    name: str
+    length: Annotated[float, Within(1e-6, LENGTH)]
+    """Length of the stroke [m]; its middle is the part's origin."""
+    height: Annotated[float, Within(-LENGTH, LENGTH)]
+    """Height of the strip's middle line above the part's origin [m]."""
+    twist: Annotated[tuple[float, float], Within(-math.pi, math.pi)]
+    """Angle of the face about x where the stroke begins and where it ends [rad]."""
+
+
+@dataclass(frozen=True)
+class PartSpec:
+    """A part that is brushed: where it lies, and its face."""
+
+    name: str
+    """Free body."""
+    face: str
+    """Name of its face."""
+    spawn: Annotated[tuple[float, float, float], Within(-LENGTH, LENGTH)]
+    """Middle of the region where it lies: x, y [m], yaw [rad]."""
+    jitter: Annotated[tuple[float, float, float], Within(0.0, LENGTH)]
+    """Half widths of that region [m, m, rad]."""
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """An inspection task: go home, over the tray, then brush one of the parts from end to end."""
+
+    kind: ClassVar[str] = "inspection"
+
+    tool_site: str
+    """Site at the tips of the brush, which points along z and is moved along x."""
+    tray: str
+    """Body that the parts lie in."""
+    hover: Annotated[float, Within(0.0, LENGTH)]
+    """Height above the tray's origin at which the arm comes to rest before it brushes [m]."""
+    brush_speed: Annotated[float, Within(1e-4, LENGTH)]
+    """Highest speed of the brush on a part [m/s]."""
+    guides: Annotated[int, Within(0, 100)]
+    """How many key poses the brush passes between the ends of a stroke."""
+    start_jitter: Annotated[float, Within(0.0, math.pi)]
+    """How far from home random tasks begin at most, in every joint [rad]."""
+    faces: tuple[FaceSpec, ...]
+    parts: tuple[PartSpec, ...]
+    controller: ControllerSpec | None = field(default=None, repr=False)
+
+    @property
+    def objects(self) -> tuple[PartSpec, ...]:
+        """The movable objects of the cell: its parts."""
+        return self.parts
+
+    @property
+    def gripper(self) -> None:
+        """None: an inspection carries nothing."""
+        return None
+
+    @property
+    def fixture_names(self) -> tuple[str, ...]:
+        """Bodies of the cell that the data name and that do not move."""
+        return (self.tray,)
+
+    def held_in_tool(self, name: str) -> None:
+        """None: an inspection carries nothing."""
+        del name
+
+    def part(self, name: str) -> PartSpec:
+        """Part by name."""
+        return by_name("part", name, self.parts)
+
+    def face(self, name: str) -> FaceSpec:
+        """Face by name."""
+        return by_name("face", name, self.faces)
+
+
+def read(tables: dict, file: str) -> Inspection:
+    """The task data of a TOML file's tables, see `contracts.TaskKind`."""
+    faces = records(FaceSpec, tables.pop("faces", []), f"{file} [[faces]]")
+    parts = records(PartSpec, tables.pop("parts", []), f"{file} [[parts]]")
+    inspection = record(Inspection, tables | {"faces": faces, "parts": parts}, file)
+    for part in parts:
+        inspection.face(part.face)
+    return inspection
 
 
 def require_inspection(cell: Workcell) -> Inspection:
@@ -64,7 +159,7 @@ def brush_errors(face: FaceSpec, part: np.ndarray, tools: np.ndarray) -> tuple[n
     return np.array(angles), np.array(gaps)
 
 
-def inspection_task(
+def make_task(
     cell: Workcell,
     part_name: str,
     object_poses: np.ndarray,
@@ -139,7 +234,7 @@ def random_start(cell: Workcell, rng: np.random.Generator) -> np.ndarray:
     )
 
 
-def random_inspection_task(cell: Workcell, seed: int) -> Task:
+def random_task(cell: Workcell, seed: int) -> Task:
     """The task of brushing one part of a random scene, with key poses `[pose, 8]`.
 
     The arm starts at random near home and brushes a random stretch of the part's face.
@@ -147,4 +242,4 @@ def random_inspection_task(cell: Workcell, seed: int) -> Task:
     rng, parts = np.random.default_rng([seed, 1]), require_inspection(cell).parts
     stroke = rng.uniform(0.0, 0.35), rng.uniform(0.65, 1.0)
     name, start = parts[seed % len(parts)].name, random_start(cell, rng)
-    return inspection_task(cell, name, sample_scene(cell, seed), start, stroke)
+    return make_task(cell, name, sample_scene(cell, seed), start, stroke)

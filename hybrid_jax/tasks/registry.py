@@ -4,37 +4,43 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 
 from hybrid_jax.errors import TaskError
 from hybrid_jax.kernels.argument_checks import single_precision
 from hybrid_jax.runtime.input_files import read_text
-from hybrid_jax.tasks.handling import (
-    handling_task,
-    object_in_tool,
-    random_handling_task,
-    require_handling,
-)
-from hybrid_jax.tasks.inspection import inspection_task, random_inspection_task
 from hybrid_jax.tasks.scene_sampling import require_task_data, sample_scene
 from hybrid_jax.tasks.task import Task, as_dual_quats, as_rows
 from hybrid_jax.types import Workcell
-from hybrid_jax.workcell.description import Handling, Inspection
+from hybrid_jax.workcell.description import kind_module
 from hybrid_jax.workcell.poses import as_row, pose_of
 
-_MAKERS = {Handling: handling_task, Inspection: inspection_task}
-_RANDOM = {Handling: random_handling_task, Inspection: random_inspection_task}
+
+def kind_of(cell: Workcell) -> ModuleType:
+    """Module of the kind of task that the cell's data describe, a `contracts.TaskKind`.
+
+    Raises:
+        WorkcellError: the cell has no task data.
+    """
+    return kind_module(require_task_data(cell).kind)
 
 
 @single_precision
-def make_task(cell: Workcell, object_name: str, object_poses: np.ndarray) -> Task:
-    """The task that the cell's data set for an object, from home.
+def make_task(
+    cell: Workcell,
+    object_name: str,
+    object_poses: np.ndarray,
+    start: np.ndarray | None = None,
+) -> Task:
+    """The task that the cell's data set for an object.
 
     Args:
         cell: with task data.
         object_name: which object.
         object_poses: `[object, 7]` where all objects lie: position [m], quaternion.
+        start: `[joint]` configuration in which the arm stands [rad or m]; home if None.
 
     Returns:
         Key poses `[pose, 8]` and what happens between them.
@@ -43,7 +49,7 @@ def make_task(cell: Workcell, object_name: str, object_poses: np.ndarray) -> Tas
         WorkcellError: the cell has no task data.
         UnknownNameError: no such object.
     """
-    return _MAKERS[type(require_task_data(cell))](cell, object_name, object_poses)
+    return kind_of(cell).make_task(cell, object_name, object_poses, start)
 
 
 @single_precision
@@ -60,7 +66,7 @@ def random_task(cell: Workcell, seed: int) -> Task:
     Raises:
         WorkcellError: the cell has no task data, or its objects find no room.
     """
-    return _RANDOM[type(require_task_data(cell))](cell, seed)
+    return kind_of(cell).random_task(cell, seed)
 
 
 def with_key_poses(cell: Workcell, task: Task, rows: np.ndarray) -> Task:
@@ -78,8 +84,7 @@ def with_key_poses(cell: Workcell, task: Task, rows: np.ndarray) -> Task:
     tools = [pose_of(row[:3], row[3:]) for row in rows]
     poses[task.given] = as_dual_quats(tools)
     if any(task.carrying):
-        spec = require_handling(cell).object(task.object_name)
-        in_tool = object_in_tool(spec, task.grasp)
+        in_tool = task.require_hold().in_tool
         grasp = tools[task.carrying.index(True) - 1]
         index = cell.source.layout.object_names.index(task.object_name)
         objects[index] = as_row(grasp * pose_of(in_tool[:3], in_tool[3:]))

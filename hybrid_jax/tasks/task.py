@@ -5,13 +5,27 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from hybrid_jax.errors import TaskError
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.kinematics import tool_pose
 from hybrid_jax.types import Workcell
-from hybrid_jax.workcell.poses import as_row
+from hybrid_jax.workcell.poses import as_row, pose_row
+
+
+@dataclass(frozen=True)
+class Hold:
+    """How an object is held while it is carried."""
+
+    in_tool: np.ndarray
+    """`[7]` pose of the object in the tool's frame: position [m], quaternion."""
+    opening: float
+    """Opening of each finger around the object [m]."""
+    support: tuple[str, ...] = ()
+    """Fixtures that the held object may touch: it is lifted from the first and put on the last."""
 
 
 @dataclass(frozen=True)
@@ -39,10 +53,10 @@ class Task:
     needs no demonstration: the arm moves freely."""
     tool_speeds: tuple[float, ...] = ()
     """`[K - 1]` highest speed of the tool on each segment [m/s]; empty for no limit."""
-    support: tuple[str, ...] = ()
-    """Fixtures that the held object may touch: it is lifted from or put on them."""
-    grasp: int = 0
-    """Index of the object's grasp that is used."""
+    hold: Hold | None = None
+    """How the object is held; None where nothing is carried."""
+    opening: float | None = None
+    """Opening of each finger while nothing is held [m]; None for that of the keyframe `home`."""
 
     @property
     def phases(self) -> list[tuple[int, int]]:
@@ -69,6 +83,25 @@ class Task:
         """
         first = int(self.transit)
         return self.key_poses[first:], self.carrying[first:]
+
+    @property
+    def placed_pose(self) -> np.ndarray:
+        """Pose of the carried object when it is let go: `[7]` position [m], quaternion."""
+        release = pose_row(self.key_poses[1 + int(np.flatnonzero(self.carrying)[-1])])
+        position, quat = np.empty(3), np.empty(4)
+        in_tool = self.require_hold().in_tool
+        mujoco.mju_mulPose(position, quat, release[:3], release[3:], in_tool[:3], in_tool[3:])
+        return np.concatenate([position, quat])
+
+    def require_hold(self) -> Hold:
+        """How the object is held.
+
+        Raises:
+            TaskError: something is carried, but the task does not say how it is held.
+        """
+        if self.hold is None:
+            raise TaskError(f"{self.object_name!r} is carried, but the task has no `hold`")
+        return self.hold
 
     def tool_speed(self, phase: int) -> float:
         """Highest speed of the tool in a phase [m/s]: the lowest limit of its segments."""

@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from hybrid_jax.kernels.collision.rounded_boxes import joined_order
+from hybrid_jax.kernels.collision.primitive_kinds import joined_order, rows_needed_whole
 from hybrid_jax.types import ContactPairs
-from hybrid_jax.workcell.geometry import PIERCEABLE, Primitive, geom_label, pierces
+from hybrid_jax.workcell.geometry import PIERCEABLE, Primitive, counts_of, geom_label, pierces
 from hybrid_jax.workcell.layout import Layout, geom_links, home_qpos
 
 
@@ -146,8 +146,8 @@ def contact_pairs(robot, slots, fixtures, objects, links, last_link, forbidden) 
     """Tables of pairs in the order of the kernels (`kernels.collision.rounded_boxes.join`).
 
     Args:
-        robot, fixtures, objects: primitives, capsules first.
-        slots: capsules and boxes that a payload may have.
+        robot, fixtures, objects: primitives, kind by kind.
+        slots: primitives of each kind that a payload may have.
         links: `[geom]` link of each geom, from `geom_links`.
         last_link: the link that carries the gripper.
         forbidden: `[geom, geom]` from `forbidden_contacts`.
@@ -156,15 +156,10 @@ def contact_pairs(robot, slots, fixtures, objects, links, last_link, forbidden) 
         Tables `[row, column]` and `[row, cover]`, see `ContactPairs`.
     """
 
-    def capsule_count(ones):
-        return sum(p.is_capsule for p in ones)
-
-    order = joined_order((capsule_count(robot), slots[0]), (len(robot), sum(slots)))
-    rows = [robot[i] if i < len(robot) else None for i in order]
-    boxes = [
-        i - len(robot) >= slots[0] if p is None else not p.is_capsule
-        for i, p in zip(order, rows, strict=True)
-    ]
+    counts = counts_of(robot)
+    rows = [robot[i] if i < len(robot) else None for i in joined_order(counts, slots)]
+    needed_whole = set(rows_needed_whole([a + b for a, b in zip(counts, slots, strict=True)]))
+    boxes = [i in needed_whole for i in range(len(rows))]
     columns = fixtures + objects
     world = [[p is None or forbidden[p.geom, c.geom] for c in columns] for p in rows]
     table = _own_table(rows, links, last_link, forbidden)

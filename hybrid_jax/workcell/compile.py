@@ -46,13 +46,13 @@ def _object_of(model, layout, geom: int) -> int:
 
 
 def _robot(model, data, layout, geoms, frames, links, tolerance):
-    """Primitives that the arm moves, by link within capsules and boxes, and their record."""
+    """Primitives that the arm moves, by link within each kind, and their record."""
     primitives = [
         p
         for g in sorted(geoms, key=lambda g: links[g])
         for p in geometry.primitives(model, data, g, frames[links[g]], tolerance)
     ]
-    primitives = geometry.capsules_first(primitives)
+    primitives = geometry.in_order(primitives)
     strokes = [_stroke(model, data, layout, p.geom, frames[links[p.geom]]) for p in primitives]
     return primitives, RobotShapes(
         shapes=geometry.to_shapes(primitives),
@@ -68,20 +68,15 @@ def _objects(model, data, layout, geoms, tolerance):
         body = layout.object_bodies[_object_of(model, layout, g)]
         frame = matrix_pose(data.xpos[body], data.xmat[body])
         primitives += geometry.primitives(model, data, g, frame, tolerance)
-    return geometry.capsules_first(primitives)
+    return geometry.in_order(primitives)
 
 
-def _payload_slots(owners: list[int], objects) -> tuple[int, int]:
-    """Capsules and boxes that a payload needs: the most that any object has of each."""
+def _payload_slots(owners: list[int], objects) -> tuple[int, ...]:
+    """Primitives of each kind that a payload needs: the most that any object has."""
     # whichever object is held, the arrays keep their shapes, so no new trace is needed
     pairs = list(zip(owners, objects, strict=True))
-    return tuple(
-        max(
-            [sum(o == k and p.is_capsule == capsule for o, p in pairs) for k in set(owners)],
-            default=0,
-        )
-        for capsule in (True, False)
-    )
+    counts = [geometry.counts_of([p for o, p in pairs if o == k]) for k in set(owners)]
+    return tuple(map(max, zip(geometry.counts_of([]), *counts, strict=True)))
 
 
 def _digest(arrays, names, task) -> str:
@@ -144,7 +139,7 @@ def compile_workcell(
     fixed_geoms = [g for g in geoms if links[g] < 0 and g not in object_geoms]
     robot, robot_record = _robot(model, data, layout, arm_geoms, frames, links, mesh_tolerance)
     world = pose_of([0, 0, 0], [1, 0, 0, 0])
-    fixtures = geometry.capsules_first(
+    fixtures = geometry.in_order(
         [p for g in fixed_geoms for p in geometry.primitives(model, data, g, world, mesh_tolerance)]
     )
     objects = _objects(model, data, layout, object_geoms, mesh_tolerance)
@@ -152,7 +147,7 @@ def compile_workcell(
     gripper = task.gripper if task else None
     # without task data any object may be held; with data that name no gripper none is
     nothing_held = task is not None and gripper is None
-    slots = (0, 0) if nothing_held else _payload_slots(owners, objects)
+    slots = _payload_slots([], []) if nothing_held else _payload_slots(owners, objects)
     pairs = contact_pairs(
         robot,
         slots,

@@ -9,6 +9,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from hybrid_jax.errors import WorkcellError
+from hybrid_jax.kernels.collision.primitive_kinds import KINDS as KINDS_OF_PRIMITIVES
+from hybrid_jax.kernels.collision.primitive_kinds import kind_of, rows_needed_whole, spans
 from hybrid_jax.types import Shapes
 from hybrid_jax.workcell import approximation
 from hybrid_jax.workcell.poses import as_row, matrix_pose, pose_of
@@ -47,9 +49,9 @@ class Primitive:
     """Radius of the ball that sweeps the box [m]."""
 
     @property
-    def is_capsule(self) -> bool:
-        """Is it a capsule or a sphere?"""
-        return self.half_extents[0] == 0.0 and self.half_extents[1] == 0.0
+    def kind(self) -> int:
+        """Number of its kind in `kernels.collision.primitive_kinds`."""
+        return kind_of(self.half_extents)
 
 
 def body_label(model: mujoco.MjModel, body: int) -> str:
@@ -157,27 +159,33 @@ def primitives(model, data, geom: int, frame: RigidTransform, tolerance: float) 
     ]
 
 
-def capsules_first(ones: list[Primitive]) -> list[Primitive]:
-    """The same primitives in the order of the kernels: capsules and spheres, then boxes."""
-    return [p for p in ones if p.is_capsule] + [p for p in ones if not p.is_capsule]
+def in_order(ones: list[Primitive]) -> list[Primitive]:
+    """The same primitives in the order of the kernels, kind by kind."""
+    return sorted(ones, key=lambda p: p.kind)
 
 
-def to_shapes(ones: list[Primitive], slots: tuple[int, int] = (0, 0)) -> Shapes:
-    """Primitives as arrays `[n, ...]`, capsules first, padded with empty slots.
+def counts_of(ones: list[Primitive]) -> tuple[int, ...]:
+    """How many primitives there are of each kind."""
+    return tuple(sum(p.kind == kind for p in ones) for kind in range(len(KINDS_OF_PRIMITIVES)))
+
+
+def to_shapes(ones: list[Primitive], slots: tuple[int, ...] = ()) -> Shapes:
+    """Primitives as arrays `[n, ...]`, kind by kind, padded with empty slots.
 
     Args:
         ones: the primitives, in any order.
-        slots: least numbers of capsules and of boxes.
+        slots: least number of primitives of each kind; none if empty.
     """
-    capsules, boxes = [p for p in ones if p.is_capsule], [p for p in ones if not p.is_capsule]
-    slots = max(slots[0], len(capsules)), max(slots[1], len(boxes))
+    counts = counts_of(ones)
+    slots = tuple(map(max, counts, slots or counts))
     pose, half = np.zeros((sum(slots), 7)), np.zeros((sum(slots), 3))
     radius, active = np.zeros(sum(slots)), np.zeros(sum(slots))
     pose[:, 3] = 1.0  # empty slots are not rotated: the quaternion's w comes first
-    half[slots[0] :] = 1e-3
-    for first, group in ((0, capsules), (slots[0], boxes)):
-        for i, p in enumerate(group, start=first):
+    half[rows_needed_whole(slots)] = 1e-3
+    for kind, span in enumerate(spans(slots)):
+        for i, p in enumerate((p for p in ones if p.kind == kind), start=span.start):
             pose[i], half[i], radius[i], active[i] = as_row(p.pose), p.half_extents, p.radius, 1.0
     arrays = [jnp.asarray(np.asarray(a, np.float32)) for a in (pose, half, radius, active)]
-    balls = not slots[1] and all(p.half_extents[2] == 0.0 for p in capsules)
-    return Shapes(*arrays, capsule_count=slots[0], all_spheres=balls)
+    # a row that is needed whole is no ball, be it an empty slot
+    balls = not rows_needed_whole(slots) and not any(any(p.half_extents) for p in ones)
+    return Shapes(*arrays, counts=slots, all_spheres=balls)

@@ -7,7 +7,7 @@ Each field must have the type and the range of its annotation; a message names t
 import math
 from typing import Annotated, NamedTuple, get_args, get_origin, get_type_hints
 
-from hybrid_jax.errors import WorkcellError, shortened
+from hybrid_jax.errors import UnknownNameError, WorkcellError, shortened
 
 LARGEST = 1e300
 """Largest number that is accepted: beyond it nothing can be computed."""
@@ -108,3 +108,20 @@ def records(kind, tables: list[dict], where: str) -> tuple:
     if not isinstance(tables, list):
         raise WorkcellError(f"{where} must be a list of tables, got {tables!r}")
     return tuple(record(kind, table, where) for table in tables)
+
+
+def by_name(what: str, name: str, specs):
+    """The record of that name.
+
+    Args:
+        what: what the records are, for the message.
+        name: the one that is asked for.
+        specs: records with a `name`.
+
+    Raises:
+        UnknownNameError: there is none of that name.
+    """
+    for spec in specs:
+        if spec.name == name:
+            return spec
+    raise UnknownNameError(what, name, [spec.name for spec in specs])

@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from hybrid_jax.errors import UnknownNameError
 from hybrid_jax.kernels import dualquat as dq
+from hybrid_jax.kernels.collision.primitive_kinds import kinds_of, spans
 from hybrid_jax.types import Shapes, Workcell
 
 
@@ -62,19 +63,13 @@ def attach(cell: Workcell, name: str, object_in_tool: Float[Array, "7"]) -> Work
     Raises:
         UnknownNameError: no such object.
     """
-    rows, slots, slot_offset = (
-        _own(cell, name),
-        cell.scene.payload,
-        cell.scene.payload.capsule_count,
-    )
+    rows, slots = _own(cell, name), cell.scene.payload
     shapes = _moved(cell.objects, jnp.broadcast_to(object_in_tool, (cell.objects.count, 7)))
-    capsules = [i for i in rows if i < shapes.capsule_count]
-    boxes = [i for i in rows if i >= shapes.capsule_count]
-    # the payload's slots for capsules come first, then those for boxes, as in all `Shapes`
-    targets = jnp.array(
-        list(range(len(capsules))) + [slot_offset + i for i in range(len(boxes))], int
-    )
-    sources = jnp.array(capsules + boxes, int)
+    kinds = kinds_of(shapes.counts)
+    free = [iter(range(span.start, span.stop)) for span in spans(slots.counts)]
+    # each primitive takes the next of the payload's slots for its kind
+    targets = jnp.array([next(free[kinds[i]]) for i in rows], int)
+    sources = jnp.array(rows, int)
     payload = slots.replace(
         pose=slots.pose.at[targets].set(shapes.pose[sources]),
         half_extents=slots.half_extents.at[targets].set(shapes.half_extents[sources]),

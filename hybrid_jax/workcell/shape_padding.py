@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hybrid_jax.errors import InputError
+from hybrid_jax.kernels.collision.primitive_kinds import spans
 from hybrid_jax.types import ContactPairs, Shapes, Workcell, WorkcellSource
 
 
@@ -35,13 +36,11 @@ class SharedSource(WorkcellSource):
         return hash(self.group)
 
 
-def _padded(shapes: Shapes, capsule_count: int, boxes: int) -> tuple[Shapes, np.ndarray]:
+def _padded(shapes: Shapes, counts: tuple[int, ...]) -> tuple[Shapes, np.ndarray]:
     """Shapes with empty slots added, and the slot of each given primitive `[n]`."""
-    box_count = shapes.count - shapes.capsule_count
-    slots = np.concatenate(
-        [np.arange(shapes.capsule_count), capsule_count + np.arange(box_count)]
-    ).astype(int)
-    total = capsule_count + boxes
+    by_kind = zip(spans(shapes.counts), spans(counts), strict=True)
+    slots = np.concatenate([new.start + np.arange(old.stop - old.start) for old, new in by_kind])
+    total = sum(counts)
 
     def into(values: np.ndarray, fill) -> jnp.ndarray:
         padded = np.broadcast_to(np.asarray(fill, np.float32), (total, *values.shape[1:])).copy()
@@ -52,9 +51,8 @@ def _padded(shapes: Shapes, capsule_count: int, boxes: int) -> tuple[Shapes, np.
         np.asarray, (shapes.pose, shapes.half_extents, shapes.radius, shapes.active)
     )
     identity = [0, 0, 0, 1, 0, 0, 0]
-    return Shapes(
-        into(pose, identity), into(half, 0), into(radius, 0), into(active, 0), capsule_count
-    ), slots
+    arrays = into(pose, identity), into(half, 0), into(radius, 0), into(active, 0)
+    return Shapes(*arrays, counts=counts), slots
 
 
 def unify_shapes(cells: list[Workcell]) -> list[Workcell]:
@@ -64,7 +62,7 @@ def unify_shapes(cells: list[Workcell]) -> list[Workcell]:
         cells: of one robot, without movable objects.
 
     Returns:
-        Cells whose fixtures have `[capsules + boxes, ...]` slots, the most that any cell needs.
+        Cells whose fixtures have `[slot, ...]` slots: of each kind the most that any cell needs.
 
     Raises:
         InputError: a cell has movable objects, or another robot.
@@ -75,17 +73,16 @@ def unify_shapes(cells: list[Workcell]) -> list[Workcell]:
             raise InputError(f"the cell {cell.source.name!r} has movable objects")
         if (cell.robot.link, cell.robot.shapes.count, cell.pairs.cover) != robot:
             raise InputError(f"the cell {cell.source.name!r} has another robot than the first one")
-    capsule_count = max(cell.fixtures.capsule_count for cell in cells)
-    boxes = max(cell.fixtures.count - cell.fixtures.capsule_count for cell in cells)
-    group, unified = f"{cells[0].source.digest}-{len(cells)}-{capsule_count}-{boxes}", []
+    counts = tuple(map(max, zip(*(cell.fixtures.counts for cell in cells), strict=True)))
+    group, unified = f"{cells[0].source.digest}-{len(cells)}-{'-'.join(map(str, counts))}", []
     for cell in cells:
-        fixtures, slots = _padded(cell.fixtures, capsule_count, boxes)
-        world = np.zeros((*cell.pairs.world.shape[:-1], capsule_count + boxes), np.float32)
+        fixtures, slots = _padded(cell.fixtures, counts)
+        world = np.zeros((*cell.pairs.world.shape[:-1], sum(counts)), np.float32)
         world[..., slots] = np.asarray(cell.pairs.world)
         pairs = ContactPairs(
             jnp.asarray(world), cell.pairs.own, cell.pairs.payload, cell.pairs.cover
         )
-        scene = cell.scene.replace(support_on=jnp.ones(capsule_count + boxes))
+        scene = cell.scene.replace(support_on=jnp.ones(sum(counts)))
         source = SharedSource(cell.source, group)
         unified.append(cell.replace(fixtures=fixtures, pairs=pairs, scene=scene, source=source))
     return unified

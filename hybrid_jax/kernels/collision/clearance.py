@@ -21,10 +21,12 @@ from hybrid_jax.kernels.collision import distance, narrow_phase
 from hybrid_jax.kernels.collision.broad_phase import Pairing, row_bounds
 from hybrid_jax.kernels.collision.distance import FAR
 from hybrid_jax.kernels.collision.narrow_phase import Nearest
+from hybrid_jax.kernels.collision.primitive_kinds import KINDS, PAIRS, spans
 from hybrid_jax.kernels.collision.rounded_boxes import (
     RoundedBoxes,
     local_shapes,
     robot_rows,
+    row_counts,
     row_links,
     world_boxes,
     world_count,
@@ -75,10 +77,8 @@ def _kernel(cell: Workcell, q: Array, *, parts: str, measured: tuple[int, int] |
     Leaves of `cell` and `q` are `[1 or b, ...]`; `measured` is as `_MEASURED`, None for every pair.
     """
     rows, blocks = robot_rows(cell, q)
-    capsule_count = cell.robot.shapes.capsule_count + cell.scene.payload.capsule_count
-    cover = len(cell.pairs.cover)
-    cover_blocks = RoundedBoxes(*(a[..., :cover, :] for a in blocks))
-    box_rows = RoundedBoxes(*(a[..., cover:, :] for a in blocks))
+    whole_first = len(cell.pairs.cover)
+    cover_blocks = RoundedBoxes(*(a[..., :whole_first, :] for a in blocks))
     batch = q.shape[0]
     zero = jnp.zeros(batch, jnp.int32)
     nearest = Nearest(jnp.full(batch, FAR), zero, zero, jnp.full(batch, FAR))
@@ -91,28 +91,31 @@ def _kernel(cell: Workcell, q: Array, *, parts: str, measured: tuple[int, int] |
         bounds = jnp.full(rows.centre.shape[1:], FAR)
         for obstacles, pairing in groups:
             bounds = row_bounds(rows, obstacles, pairing, bounds)
-    # capsules apart from boxes: their distance needs no test of twelve edges
-    for span, swept_boxes in (
-        (slice(0, capsule_count), None),
-        (slice(capsule_count, rows.radius.shape[0]), box_rows),
-    ):
+    for kind, span in zip(KINDS, spans(row_counts(cell)), strict=True):
         if span.start == span.stop:
             continue
+        whole, measure = None, PAIRS[kind.name, "rounded box"]
+        if kind.whole:
+            whole_last = whole_first + span.stop - span.start
+            whole = RoundedBoxes(*(a[..., whole_first:whole_last, :] for a in blocks))
+            whole_first = whole_last
         if measured:
-            candidate = _if_needed(rows, swept_boxes, groups, span, bounds, nearest, measured)
+            candidate = _if_needed(measure, rows, whole, groups, span, bounds, nearest, measured)
         else:
-            candidate = narrow_phase.tabulate(rows, swept_boxes, groups, span)
+            candidate = narrow_phase.tabulate(measure, rows, whole, groups, span)
         nearest = nearest.merge(candidate)
     return nearest
 
 
-def _if_needed(rows, swept_boxes, groups, some: slice, bounds, known: Nearest, measured) -> Nearest:
+def _if_needed(
+    measure, rows, whole, groups, some: slice, bounds, known: Nearest, measured
+) -> Nearest:
     """Search the rows `some`, unless no bound of any configuration is below what is known."""
     least_bound = jnp.min(bounds[some], axis=0)
     idle = known._replace(distance=jnp.full_like(least_bound, FAR), rest=least_bound)
     return jax.lax.cond(
         jnp.any(least_bound < known.distance),
-        lambda: narrow_phase.search(rows, swept_boxes, groups, some, bounds, *measured),
+        lambda: narrow_phase.search(measure, rows, whole, groups, some, bounds, *measured),
         lambda: idle,
     )
 

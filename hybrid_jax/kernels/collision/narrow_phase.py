@@ -13,7 +13,6 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from hybrid_jax.kernels.collision import distance
 from hybrid_jax.kernels.collision.broad_phase import (
     column_of,
     pair_bound,
@@ -21,6 +20,7 @@ from hybrid_jax.kernels.collision.broad_phase import (
     unrolled,
 )
 from hybrid_jax.kernels.collision.distance import FAR
+from hybrid_jax.kernels.collision.primitive_kinds import PAIRS
 from hybrid_jax.kernels.collision.rounded_boxes import RoundedBoxes, Rows
 
 _WORD = 24
@@ -83,22 +83,6 @@ def _take_rows(record, index: Array):
     return type(record)(*(_take(a, index) for a in record))
 
 
-def measure(rows: Rows, whole: RoundedBoxes | None, block: RoundedBoxes) -> Array:
-    """Exact signed distances of rows and blocks whose components broadcast to `[...]`.
-
-    Args:
-        rows: the robot's primitives, components `[...]`.
-        whole: the same rows as blocks where they are boxes, else None: they are capsules.
-        block: the obstacles, components `[...]`.
-
-    Returns:
-        `[...]` [m].
-    """
-    if whole is not None:
-        return distance.rounded_box_rounded_box(whole, block)
-    return distance.capsule_rounded_box(rows.centre, rows.axis, rows.radius, block)
-
-
 def _row_flags(allowed: Array, row: Array) -> Array:
     """Flags `[column, k, b]` of the rows `[k, b]`, gathered as bit words of 24 columns each."""
     columns = allowed.shape[1]
@@ -111,14 +95,17 @@ def _row_flags(allowed: Array, row: Array) -> Array:
     return jnp.concatenate(words)
 
 
-def search(rows, whole, groups, some: slice, best: Array, count: int, pairs: int) -> Nearest:
+def search(
+    measure, rows, whole, groups, some: slice, best: Array, count: int, pairs: int
+) -> Nearest:
     """Measure the most promising pairs: those with the least bounds, of the rows with the least.
 
     Args:
+        measure: distance of the pair, see `primitive_kinds.PAIRS`.
         rows: the robot's primitives, all of them.
-        whole: those of `some` as blocks where they are boxes, else None.
+        whole: those of `some` as blocks where their kind is needed whole, else None.
         groups: (blocks, pairing) of obstacles.
-        some: the rows to search, all capsules or all boxes.
+        some: the rows to search, all of one kind.
         best: `[row, b]` bounds of all rows, `row_bounds` over all groups [m].
         count: rows to look at.
         pairs: pairs to measure of these rows.
@@ -188,17 +175,18 @@ def _pick(groups: list[RoundedBoxes], column: Array) -> RoundedBoxes:
     return jax.tree.map(lambda *a: sum(a), *parts)
 
 
-def tabulate(rows, whole, groups, some: slice) -> Nearest:
+def tabulate(measure, rows, whole, groups, some: slice) -> Nearest:
     """Measure every pair of some rows: the plain answer, for few configurations.
 
     All pairs at once, then the least of them by a loop: slices of columns inside the measuring, or
     a minimum that is merged with it, do not vectorise on a CPU.
 
     Args:
+        measure: distance of the pair, see `primitive_kinds.PAIRS`.
         rows: the robot's primitives, all of them.
-        whole: those of `some` as blocks where they are boxes, else None.
+        whole: those of `some` as blocks where their kind is needed whole, else None.
         groups: (blocks, pairing) of obstacles.
-        some: the rows to measure, all capsules or all boxes.
+        some: the rows to measure, all of one kind.
 
     Returns:
         The nearest pair of each configuration, leaves `[b]`.
@@ -238,11 +226,11 @@ def around(rows: Rows, own: RoundedBoxes, groups) -> Nearest:
     state, first = (best, jnp.zeros(best.shape, jnp.int32)), 0
     for blocks, pairing in groups:
         counts, count = pair_flags(pairing), blocks.radius.shape[0]
-        apart = distance.sphere_sphere if blocks is own else distance.sphere_rounded_box
+        measure = PAIRS["ball", "ball" if blocks is own else "rounded box"]
 
-        def step(i, state, blocks=blocks, counts=counts, first=first, apart=apart):
+        def step(i, state, blocks=blocks, counts=counts, first=first, measure=measure):
             best, column = state
-            column_gap = apart(rows.centre, rows.radius, column_of(blocks, i))
+            column_gap = measure(rows, None, column_of(blocks, i))
             counted_gap = jnp.where(counts[i] > 0, column_gap, FAR)
             return jnp.minimum(best, counted_gap), jnp.where(counted_gap < best, first + i, column)
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """The cell's primitives as the collision kernels read them: components first, batch last.
 
-Rows are the robot's and the payload's primitives, capsules of both and then boxes of both. Columns
-are obstacles. In shapes `b` is the batch, or 1 for what all of it shares.
+Rows are the robot's and the payload's primitives, kind by kind (`primitive_kinds`). Columns are
+obstacles. In shapes `b` is the batch, or 1 for what all of it shares.
 """
 
 from typing import NamedTuple
@@ -12,6 +12,7 @@ from jax import Array
 
 from hybrid_jax.kernels import vec3
 from hybrid_jax.kernels.collision.distance import FAR
+from hybrid_jax.kernels.collision.primitive_kinds import joined_order, rows_needed_whole, spans
 from hybrid_jax.kernels.kinematics import link_frames
 from hybrid_jax.kernels.vec3 import Vector
 from hybrid_jax.types import KinematicChain, Shapes, Workcell
@@ -52,7 +53,7 @@ def _concatenate(parts: list[Array], axis: int) -> Array:
 
 
 def join(a: Shapes, b: Shapes) -> Shapes:
-    """Two lists of primitives as one: capsules of both, then boxes of both.
+    """Two lists of primitives as one, kind by kind: those of `a` before those of `b`.
 
     Args:
         a, b: leaves `[n, ...]` and `[m, ...]`, or `[1 or b, n or m, ...]` in a batch.
@@ -62,12 +63,8 @@ def join(a: Shapes, b: Shapes) -> Shapes:
     """
 
     def both(x, y, axis):
-        parts = [
-            (x, slice(0, a.capsule_count)),
-            (y, slice(0, b.capsule_count)),
-            (x, slice(a.capsule_count, None)),
-            (y, slice(b.capsule_count, None)),
-        ]
+        by_kind = zip(spans(a.counts), spans(b.counts), strict=True)
+        parts = [part for own, other in by_kind for part in ((x, own), (y, other))]
         tail = (slice(None),) * (-axis - 1)
         return _concatenate([array[(..., rows, *tail)] for array, rows in parts], axis)
 
@@ -76,23 +73,9 @@ def join(a: Shapes, b: Shapes) -> Shapes:
         half_extents=both(a.half_extents, b.half_extents, -2),
         radius=both(a.radius, b.radius, -1),
         active=both(a.active, b.active, -1),
-        capsule_count=a.capsule_count + b.capsule_count,
+        counts=tuple(map(sum, zip(a.counts, b.counts, strict=True))),
         all_spheres=(a.all_spheres or not a.count) and (b.all_spheres or not b.count),
     )
-
-
-def joined_order(capsules: tuple[int, int], count: tuple[int, int]) -> list[int]:
-    """Where the primitives of two joined lists come from; the second list counts on.
-
-    Args:
-        capsules: how many of them are capsules, in the first and in the second list.
-        count: how many primitives there are, in the first and in the second list.
-
-    Returns:
-        Number of each primitive of `join` in the two lists, one after the other.
-    """
-    a, b = list(range(count[0])), list(range(count[0], count[0] + count[1]))
-    return a[: capsules[0]] + b[: capsules[1]] + a[capsules[0] :] + b[capsules[1] :]
 
 
 def world_shapes(cell: Workcell) -> Shapes:
@@ -122,9 +105,7 @@ def row_links(cell: Workcell) -> list[int]:
     robot, payload = cell.robot.shapes, cell.scene.payload
     robot_links = list(cell.robot.link)
     tool_links = [_joints(cell.chain)] * payload.count
-    order = joined_order(
-        (robot.capsule_count, payload.capsule_count), (len(robot_links), len(tool_links))
-    )
+    order = joined_order(robot.counts, payload.counts)
     return [(robot_links + tool_links)[i] for i in order]
 
 
@@ -200,7 +181,11 @@ def _some(array: Array, rows: list[int]) -> Array:
 
 
 def block_rows(cell: Workcell) -> list[int]:
-    """Numbers of the rows that are needed whole: the cover of the self pairs, then all boxes."""
-    capsule_count = cell.robot.shapes.capsule_count + cell.scene.payload.capsule_count
-    count = cell.robot.shapes.count + cell.scene.payload.count
-    return list(cell.pairs.cover) + list(range(capsule_count, count))
+    """Numbers of the rows that are needed whole: the cover of the self pairs, then some kinds."""
+    return list(cell.pairs.cover) + rows_needed_whole(row_counts(cell))
+
+
+def row_counts(cell: Workcell) -> tuple[int, ...]:
+    """How many rows there are of each kind."""
+    robot, payload = cell.robot.shapes, cell.scene.payload
+    return tuple(map(sum, zip(robot.counts, payload.counts, strict=True)))

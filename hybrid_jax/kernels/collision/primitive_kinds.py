@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: MIT
+"""The kinds of collision primitives: their order, the distance of each pair, and their rays.
+
+A list of primitives (`types.Shapes`) holds them kind by kind, in the order of `KINDS`; `counts`
+says how many there are of each. Nothing outside this module knows which kinds there are or how
+they are ordered. A new kind is a module with its distances, and its entries in `KINDS` and `PAIRS`.
+"""
+
+from collections.abc import Callable, Sequence
+from itertools import accumulate, pairwise
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+
+from hybrid_jax.kernels import dualquat as dq
+from hybrid_jax.kernels.collision import distance
+from hybrid_jax.kernels.collision.ray_lengths import ray_box, ray_capsule
+
+
+class PrimitiveKind(NamedTuple):
+    """What the kernels need to know about one kind of primitive."""
+
+    name: str
+    is_one: Callable[[Any], bool]
+    """From half extents `[3]` [m]: is a primitive with these of this kind?"""
+    whole: bool
+    """Does its distance need a robot's primitive whole, as `RoundedBoxes`, or `Rows` alone?"""
+    ray: Callable
+    """Length of rays until they meet it, from origin, direction and its operands."""
+    ray_operands: Callable
+    """From poses `[n, 7]`, half extents `[n, 3]` and radii `[n]` to what `ray` reads, by rows."""
+
+
+def _axis_ends(pose, half_extents, radius):
+    """Ends `[n, 2, 3]` of the axes of capsules [m], and their radii `[n]` [m]."""
+    axis = dq.quat_rotate(pose[:, 3:], half_extents * jnp.array([0.0, 0.0, 1.0]))
+    return jnp.stack([pose[:, :3] - axis, pose[:, :3] + axis], axis=1), radius
+
+
+KINDS = (
+    PrimitiveKind(
+        "capsule",  # and sphere, a capsule without length
+        is_one=lambda half_extents: half_extents[0] == 0.0 and half_extents[1] == 0.0,
+        whole=False,
+        ray=ray_capsule,
+        ray_operands=_axis_ends,
+    ),
+    PrimitiveKind(
+        "rounded box",
+        is_one=lambda half_extents: True,
+        whole=True,
+        ray=ray_box,
+        ray_operands=lambda pose, half_extents, radius: (pose, half_extents),
+    ),
+)
+"""All kinds, in the order in which a list holds them; a primitive is of the first that fits."""
+
+PAIRS: dict[tuple[str, str], Callable] = {
+    # capsules apart from boxes: their distance needs no test of twelve edges
+    ("capsule", "rounded box"): lambda rows, whole, block: distance.capsule_rounded_box(
+        rows.centre, rows.axis, rows.radius, block
+    ),
+    ("rounded box", "rounded box"): lambda rows, whole, block: distance.rounded_box_rounded_box(
+        whole, block
+    ),
+    # of a robot that is made of balls alone
+    ("ball", "ball"): lambda rows, whole, block: distance.sphere_sphere(
+        rows.centre, rows.radius, block
+    ),
+    ("ball", "rounded box"): lambda rows, whole, block: distance.sphere_rounded_box(
+        rows.centre, rows.radius, block
+    ),
+}
+"""Exact signed distance of a robot's primitive and an obstacle [m], by their kinds.
+
+From the robot's `Rows`, the same as `RoundedBoxes` where its kind is needed whole (else None), and
+the obstacle as `RoundedBoxes`; components broadcast. Every obstacle is a rounded box, too."""
+
+
+def kind_of(half_extents: Sequence[float]) -> int:
+    """Number in `KINDS` of a primitive with half extents `[3]` [m]."""
+    return next(i for i, kind in enumerate(KINDS) if kind.is_one(half_extents))
+
+
+def spans(counts: Sequence[int]) -> list[slice]:
+    """Where the primitives of each kind stand in a list with so many of each."""
+    return [slice(first, last) for first, last in pairwise(accumulate(counts, initial=0))]
+
+
+def kinds_of(counts: Sequence[int]) -> list[int]:
+    """Kind of each primitive of a list with so many of each."""
+    return [kind for kind, count in enumerate(counts) for _ in range(count)]
+
+
+def joined_order(first: Sequence[int], second: Sequence[int]) -> list[int]:
+    """Where the primitives of two joined lists come from; the second list counts on.
+
+    Args:
+        first, second: how many there are of each kind in either list.
+
+    Returns:
+        Number of each primitive of `rounded_boxes.join` in the two lists, one after the other.
+    """
+    offset, order = sum(first), []
+    for a, b in zip(spans(first), spans(second), strict=True):
+        order += [*range(a.start, a.stop), *range(offset + b.start, offset + b.stop)]
+    return order
+
+
+def rows_needed_whole(counts: Sequence[int]) -> list[int]:
+    """Numbers of the primitives whose kind is needed whole."""
+    return [i for i, kind in enumerate(kinds_of(counts)) if KINDS[kind].whole]
