@@ -7,7 +7,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import tyro
 
@@ -33,12 +33,12 @@ def main(
     json: bool = False,
     settings: tyro.conf.Suppress[tuple[str, ...]] = (),
 ) -> int:
-    """Feasibility map, three agents, and a planned and executed demonstration.
+    """Feasibility map, three agents, and a showcase: a few tasks, carried out in physics.
 
     Every setting of the preset is an option too: `--joint.training.steps 500000`.
 
     Args:
-        stages: map lfd drl switch demo; all of them if none is named.
+        stages: map lfd drl switch showcase; all of them if none is named.
         workcell: name of a shipped cell, or an MJCF or URDF file; the handling cell if not given.
         preset: default, paper or smoke; default if not given.
         config: JSON file with settings that differ from the preset's, or a run's config.json.
@@ -56,35 +56,19 @@ def main(
     """
     # JAX is imported only now: --help and a mistyped name answer at once
     from hybrid_jax.runs import own_settings, run_folder
+    from hybrid_jax.runs.presets import find_preset
     from hybrid_jax.runtime.devices import use_all_cores
-    from hybrid_jax.workcell.assets import default_workcell
 
     for stage in stages:
         if stage not in run_folder.STAGES:
             raise UnknownNameError("stage", stage, run_folder.STAGES)
-    preset_name = preset or "default"
-    base = own_settings.find_preset(preset_name)
     if show_settings:
-        effective = own_settings.changed(base, config, settings)
+        effective = own_settings.changed(find_preset(preset or "default"), config, settings)
         answer(own_settings.as_file(effective), own_settings.as_values(effective), json)
         return 0
     use_all_cores()
-    workcell = workcell or default_workcell()
-    if resume:
-        run = run_folder.open_run(out, workcell)
-        requested = {
-            "preset_name": preset or None,
-            "seed": seed,
-            "skills": skills and skills.resolve(),
-            "tool": tool or None,
-            "package_paths": tuple(path.resolve() for path in package_path) or None,
-        }
-        own_settings.refuse_other_settings(run, requested, config, settings)
-    else:
-        effective = own_settings.changed(base, config, settings)
-        run = run_folder.create_run(
-            workcell, preset_name, seed or 0, out, skills, tool, package_path, effective
-        )
+    request = RunRequest(workcell, preset, seed, out, skills, tool, package_path)
+    run = (resumed_run if resume else new_run)(request, config, settings)
     if not quiet:
         remark(f"run folder: {run.folder}")
     if tensorboard:
@@ -95,6 +79,54 @@ def main(
     rows = run_stages(run, [s for s in run_folder.STAGES if s in selected], quiet)
     answer(summary(rows), {"run": str(run.folder), "stages": rows}, json)
     return STOPPED if rows and rows[-1].get("stopped") else 0
+
+
+class RunRequest(NamedTuple):
+    """What the command line says about a run; see `main`."""
+
+    workcell: str
+    preset: str
+    seed: int | None
+    out: Path | None
+    skills: Path | None
+    tool: str
+    package_path: tuple[Path, ...]
+
+
+def new_run(request: RunRequest, config: Path | None, settings: tuple[str, ...]):
+    """Create the run that is asked for, with the preset's settings as far as none are given."""
+    from hybrid_jax.runs import own_settings, run_folder
+    from hybrid_jax.runs.presets import find_preset
+    from hybrid_jax.workcell.assets import default_workcell
+
+    name = request.preset or "default"
+    return run_folder.create_run(
+        request.workcell or default_workcell(),
+        name,
+        request.seed or 0,
+        request.out,
+        request.skills,
+        request.tool,
+        request.package_path,
+        own_settings.changed(find_preset(name), config, settings),
+    )
+
+
+def resumed_run(request: RunRequest, config: Path | None, settings: tuple[str, ...]):
+    """Open the run that is to go on; one with other settings than those asked for is refused."""
+    from hybrid_jax.runs import own_settings, run_folder
+    from hybrid_jax.workcell.assets import default_workcell
+
+    run = run_folder.open_run(request.out, request.workcell or default_workcell())
+    requested = {
+        "preset_name": request.preset or None,
+        "seed": request.seed,
+        "skills": request.skills and request.skills.resolve(),
+        "tool": request.tool or None,
+        "package_paths": tuple(path.resolve() for path in request.package_path) or None,
+    }
+    own_settings.refuse_other_settings(run, requested, config, settings)
+    return run
 
 
 def split_settings(arguments: list[str]) -> tuple[list[str], tuple[str, ...]]:
@@ -160,10 +192,10 @@ def run_stages(run, stages: list[str], quiet: bool) -> list[dict]:
 
 def summary(rows: list[dict]) -> str:
     """Summary rows as text, one line a stage."""
-    lines = ["stage    time [s]  result"]
+    lines = ["stage     time [s]  result"]
     for row in rows:
         named = (f"{k.replace('_', ' ')} {v}" for k, v in row.items() if k not in _FIRST)
-        lines.append(f"{row['stage']:7s} {row['seconds']:9.1f}  {', '.join(named)}")
+        lines.append(f"{row['stage']:8s} {row['seconds']:9.1f}  {', '.join(named)}")
     return "\n".join(lines)
 
 

@@ -11,7 +11,7 @@ from hybrid_jax.agents.sac import SacConfig
 from hybrid_jax.envs.paper_reach import PaperReachConfig
 from hybrid_jax.errors import InputError, RunFolderError, UnknownNameError
 from hybrid_jax.runs import own_settings
-from hybrid_jax.runs.presets import PRESETS, SMOKE, Preset
+from hybrid_jax.runs.presets import PRESETS, SMOKE, Preset, find_preset
 from hybrid_jax.runs.run_folder import Run, create_run, open_run
 from hybrid_jax.runs.settings import as_values, differences, from_values, merged
 
@@ -108,4 +108,4 @@ def test_a_run_of_the_former_format_is_refused(tmp_path):
 def test_without_own_settings_a_run_has_those_of_its_preset(cell, tmp_path):
     assert Run(tmp_path, cell, "smoke", 0).preset is SMOKE
     with pytest.raises(UnknownNameError, match="smoke"):
-        own_settings.find_preset("smok")
+        find_preset("smok")

@@ -242,6 +242,11 @@ def build_feasibility_map(
         if progress:
             progress(done, config.size)
     stored.discard()
+    return _assembled(config, grids, scale)
+
+
+def _assembled(config: MapConfig, grids: dict[str, np.ndarray], scale: float) -> FeasibilityMap:
+    """The map of what was found at every pose of the grid."""
     # an arm of few joints is singular everywhere
     share = np.clip(grids["manipulability"] / max(scale, _TINY), 0.0, 1.0)
     fea = np.where(grids["reason"] == Reason.FEASIBLE, share, 0.0)

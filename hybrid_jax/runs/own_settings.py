@@ -7,22 +7,11 @@ from pathlib import Path
 
 import tyro
 
-from hybrid_jax.errors import InputError, RunFolderError, UnknownNameError
-from hybrid_jax.runs.presets import PRESETS, Preset
+from hybrid_jax.errors import InputError, RunFolderError
+from hybrid_jax.runs.presets import Preset
 from hybrid_jax.runs.run_folder import Run
 from hybrid_jax.runs.settings import as_values, differences, from_values, merged
 from hybrid_jax.runtime.input_files import read_text
-
-
-def find_preset(name: str) -> Preset:
-    """Find a preset by name.
-
-    Raises:
-        UnknownNameError: no such preset.
-    """
-    if name not in PRESETS:
-        raise UnknownNameError("preset", name, PRESETS)
-    return PRESETS[name]
 
 
 def changed(preset: Preset, file: Path | None, options: tuple[str, ...]) -> Preset:

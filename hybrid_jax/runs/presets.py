@@ -9,6 +9,7 @@ from hybrid_jax.agents.joint import JointAgentConfig
 from hybrid_jax.agents.ppo import PpoConfig
 from hybrid_jax.agents.switching import SwitchConfig
 from hybrid_jax.envs.paper_reach import PaperReachConfig
+from hybrid_jax.errors import UnknownNameError
 from hybrid_jax.feasibility.grid import MapConfig
 from hybrid_jax.planner.records import PlannerConfig
 from hybrid_jax.skills.library import SkillConfig
@@ -110,3 +111,14 @@ SMOKE = Preset(
 
 PRESETS = {"default": DEFAULT, "paper": PAPER, "smoke": SMOKE}
 """Presets by name."""
+
+
+def find_preset(name: str) -> Preset:
+    """Find a preset by name.
+
+    Raises:
+        UnknownNameError: no such preset.
+    """
+    if name not in PRESETS:
+        raise UnknownNameError("preset", name, PRESETS)
+    return PRESETS[name]

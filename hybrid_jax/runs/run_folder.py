@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from hybrid_jax.errors import InputError, RunFolderError, UnknownNameError
-from hybrid_jax.runs.presets import PRESETS, Preset
+from hybrid_jax.runs.presets import PRESETS, Preset, find_preset
 from hybrid_jax.runs.settings import as_values, from_values
 from hybrid_jax.runtime import artifacts
 from hybrid_jax.runtime.input_files import read_text
@@ -170,16 +170,13 @@ def create_run(
         UnknownNameError: no such preset or cell.
         RunFolderError: the folder already holds a run.
     """
-    if preset not in PRESETS:
-        raise UnknownNameError("preset", preset, PRESETS)
+    settings = settings or find_preset(preset)
     cell = load_workcell(workcell, tool=tool, package_paths=package_paths)
     folder = out or _new_folder(Path("runs"), cell.source.name)
     folder.mkdir(parents=True, exist_ok=True)
-    source = str(Path(workcell).resolve()) if Path(workcell).is_file() else workcell
-    settings = settings or PRESETS[preset]
     values = {
         "format": FORMAT,
-        "workcell": source,
+        "workcell": str(Path(workcell).resolve()) if Path(workcell).is_file() else workcell,
         "digest": cell.source.digest,
         "preset": preset,
         "seed": seed,
@@ -194,15 +191,20 @@ def create_run(
         raise RunFolderError(
             f"{folder} already holds a run; add --resume to go on with it, or choose another --out"
         ) from None
+    return _run_of(folder, cell, values, settings)
+
+
+def _run_of(folder: Path, cell: Workcell, values: dict, settings: Preset) -> Run:
+    """The run whose `config.json` has these values."""
     return Run(
         folder=folder,
         cell=cell,
-        preset_name=preset,
-        seed=seed,
-        skills=skills and skills.resolve(),
-        workcell=source,
-        tool=tool,
-        package_paths=tuple(Path(path).resolve() for path in package_paths),
+        preset_name=values["preset"],
+        seed=values["seed"],
+        skills=Path(values["skills"]) if values["skills"] else None,
+        workcell=values["workcell"],
+        tool=values["tool"],
+        package_paths=tuple(map(Path, values["package_paths"])),
         settings=settings,
     )
 
@@ -234,17 +236,7 @@ def open_run(folder: Path | str | None, workcell: str = "") -> Run:
         settings = from_values(Preset, values["configuration"], "configuration")
     except InputError as error:
         raise RunFolderError(f"{folder / 'config.json'}: {error}") from None
-    return Run(
-        folder=folder,
-        cell=cell,
-        preset_name=values["preset"],
-        seed=values["seed"],
-        skills=Path(values["skills"]) if values["skills"] else None,
-        workcell=values["workcell"],
-        tool=values["tool"],
-        package_paths=tuple(map(Path, values["package_paths"])),
-        settings=settings,
-    )
+    return _run_of(folder, cell, values, settings)
 
 
 def read_config(folder: Path) -> dict:

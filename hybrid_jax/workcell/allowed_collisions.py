@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from hybrid_jax.kernels.collision.primitive_kinds import joined_order, rows_needed_whole
+from hybrid_jax.kernels.collision.primitive_kinds import joined_order, rows_as_boxes
 from hybrid_jax.types import ContactPairs
 from hybrid_jax.workcell.geometry import PIERCEABLE, Primitive, counts_of, geom_label, pierces
 from hybrid_jax.workcell.layout import Layout, geom_links, home_qpos
@@ -158,8 +158,8 @@ def contact_pairs(robot, slots, fixtures, objects, links, last_link, forbidden) 
 
     counts = counts_of(robot)
     rows = [robot[i] if i < len(robot) else None for i in joined_order(counts, slots)]
-    needed_whole = set(rows_needed_whole([a + b for a, b in zip(counts, slots, strict=True)]))
-    boxes = [i in needed_whole for i in range(len(rows))]
+    as_boxes = set(rows_as_boxes([a + b for a, b in zip(counts, slots, strict=True)]))
+    boxes = [i in as_boxes for i in range(len(rows))]
     columns = fixtures + objects
     world = [[p is None or forbidden[p.geom, c.geom] for c in columns] for p in rows]
     table = _own_table(rows, links, last_link, forbidden)

@@ -61,6 +61,25 @@ def _robot(model, data, layout, geoms, frames, links, tolerance):
     )
 
 
+def _fixtures(model, data, geoms, tolerance):
+    """Primitives of what is welded to the world."""
+    world = pose_of([0, 0, 0], [1, 0, 0, 0])
+    return geometry.in_order(
+        [p for g in geoms for p in geometry.primitives(model, data, g, world, tolerance)]
+    )
+
+
+def _scene(task: TaskData | None, objects, slots: tuple[int, ...], fixture_count: int) -> Scene:
+    """The scene in which nothing is held, its objects still in their bodies' frames."""
+    gripper = task.gripper if task else None
+    return Scene(
+        objects=geometry.to_shapes(objects),
+        payload=geometry.to_shapes([], slots),
+        opening=jnp.float32(gripper.open if gripper else 0.0),
+        support_on=jnp.ones(fixture_count),
+    )
+
+
 def _objects(model, data, layout, geoms, tolerance):
     """Primitives of the movable objects in their bodies' frames."""
     primitives = []
@@ -138,31 +157,15 @@ def compile_workcell(
     arm_geoms = [g for g in geoms if links[g] >= 0]
     fixed_geoms = [g for g in geoms if links[g] < 0 and g not in object_geoms]
     robot, robot_record = _robot(model, data, layout, arm_geoms, frames, links, mesh_tolerance)
-    world = pose_of([0, 0, 0], [1, 0, 0, 0])
-    fixtures = geometry.in_order(
-        [p for g in fixed_geoms for p in geometry.primitives(model, data, g, world, mesh_tolerance)]
-    )
+    fixtures = _fixtures(model, data, fixed_geoms, mesh_tolerance)
     objects = _objects(model, data, layout, object_geoms, mesh_tolerance)
     owners = [_object_of(model, layout, p.geom) for p in objects]
-    gripper = task.gripper if task else None
     # without task data any object may be held; with data that name no gripper none is
-    nothing_held = task is not None and gripper is None
+    nothing_held = task is not None and task.gripper is None
     slots = _payload_slots([], []) if nothing_held else _payload_slots(owners, objects)
-    pairs = contact_pairs(
-        robot,
-        slots,
-        fixtures,
-        objects,
-        links,
-        len(layout.joints) - 1,
-        forbidden_contacts(model, layout),
-    )
-    scene = Scene(
-        objects=geometry.to_shapes(objects),
-        payload=geometry.to_shapes([], slots),
-        opening=jnp.float32(gripper.open if gripper else 0.0),
-        support_on=jnp.ones(len(fixtures)),
-    )
+    forbidden, last_link = forbidden_contacts(model, layout), len(layout.joints) - 1
+    pairs = contact_pairs(robot, slots, fixtures, objects, links, last_link, forbidden)
+    scene = _scene(task, objects, slots, len(fixtures))
     arrays = {
         "chain": kinematic_chain(model, data, layout),
         "robot": robot_record,
@@ -171,14 +174,16 @@ def compile_workcell(
         "pairs": pairs,
         "home": jnp.asarray(home_qpos(model)[list(layout.qpos)], jnp.float32),
     }
+    bodies = tuple(model.body(model.geom_bodyid[p.geom]).name for p in fixtures)
+    names = layout.joint_names, layout.object_names, owners
     source = WorkcellSource(
         name=name,
-        digest=_digest(arrays, (layout.joint_names, layout.object_names, owners), task),
+        digest=_digest(arrays, names, task),
         model=model,
         layout=layout,
         task=task,
         owners=tuple(owners),
-        fixture_bodies=tuple(model.body(model.geom_bodyid[p.geom]).name for p in fixtures),
+        fixture_bodies=bodies,
         path=path,
         tool=tool,
     )

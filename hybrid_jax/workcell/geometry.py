@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from hybrid_jax.errors import WorkcellError
 from hybrid_jax.kernels.collision.primitive_kinds import KINDS as KINDS_OF_PRIMITIVES
-from hybrid_jax.kernels.collision.primitive_kinds import kind_of, rows_needed_whole, spans
+from hybrid_jax.kernels.collision.primitive_kinds import kind_of, rows_as_boxes, spans
 from hybrid_jax.types import Shapes
 from hybrid_jax.workcell import approximation
 from hybrid_jax.workcell.poses import as_row, matrix_pose, pose_of
@@ -181,11 +181,11 @@ def to_shapes(ones: list[Primitive], slots: tuple[int, ...] = ()) -> Shapes:
     pose, half = np.zeros((sum(slots), 7)), np.zeros((sum(slots), 3))
     radius, active = np.zeros(sum(slots)), np.zeros(sum(slots))
     pose[:, 3] = 1.0  # empty slots are not rotated: the quaternion's w comes first
-    half[rows_needed_whole(slots)] = 1e-3
+    half[rows_as_boxes(slots)] = 1e-3
     for kind, span in enumerate(spans(slots)):
         for i, p in enumerate((p for p in ones if p.kind == kind), start=span.start):
             pose[i], half[i], radius[i], active[i] = as_row(p.pose), p.half_extents, p.radius, 1.0
     arrays = [jnp.asarray(np.asarray(a, np.float32)) for a in (pose, half, radius, active)]
-    # a row that is needed whole is no ball, be it an empty slot
-    balls = not rows_needed_whole(slots) and not any(any(p.half_extents) for p in ones)
+    # a row that is read as a box is no ball, be it an empty slot
+    balls = not rows_as_boxes(slots) and not any(any(p.half_extents) for p in ones)
     return Shapes(*arrays, counts=slots, all_spheres=balls)

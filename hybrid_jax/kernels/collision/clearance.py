@@ -77,8 +77,8 @@ def _kernel(cell: Workcell, q: Array, *, parts: str, measured: tuple[int, int] |
     Leaves of `cell` and `q` are `[1 or b, ...]`; `measured` is as `_MEASURED`, None for every pair.
     """
     rows, blocks = robot_rows(cell, q)
-    whole_first = len(cell.pairs.cover)
-    cover_blocks = RoundedBoxes(*(a[..., :whole_first, :] for a in blocks))
+    box_first = len(cell.pairs.cover)
+    cover_blocks = RoundedBoxes(*(a[..., :box_first, :] for a in blocks))
     batch = q.shape[0]
     zero = jnp.zeros(batch, jnp.int32)
     nearest = Nearest(jnp.full(batch, FAR), zero, zero, jnp.full(batch, FAR))
@@ -94,28 +94,30 @@ def _kernel(cell: Workcell, q: Array, *, parts: str, measured: tuple[int, int] |
     for kind, span in zip(KINDS, spans(row_counts(cell)), strict=True):
         if span.start == span.stop:
             continue
-        whole, measure = None, PAIRS[kind.name, "rounded box"]
-        if kind.whole:
-            whole_last = whole_first + span.stop - span.start
-            whole = RoundedBoxes(*(a[..., whole_first:whole_last, :] for a in blocks))
-            whole_first = whole_last
+        row_boxes, measure = None, PAIRS[kind.name, "rounded box"]
+        if kind.as_box:
+            box_last = box_first + span.stop - span.start
+            row_boxes = RoundedBoxes(*(a[..., box_first:box_last, :] for a in blocks))
+            box_first = box_last
         if measured:
-            candidate = _if_needed(measure, rows, whole, groups, span, bounds, nearest, measured)
+            candidate = _if_needed(
+                measure, rows, row_boxes, groups, span, bounds, nearest, measured
+            )
         else:
-            candidate = narrow_phase.tabulate(measure, rows, whole, groups, span)
+            candidate = narrow_phase.tabulate(measure, rows, row_boxes, groups, span)
         nearest = nearest.merge(candidate)
     return nearest
 
 
 def _if_needed(
-    measure, rows, whole, groups, some: slice, bounds, known: Nearest, measured
+    measure, rows, row_boxes, groups, span: slice, bounds, known: Nearest, measured
 ) -> Nearest:
-    """Search the rows `some`, unless no bound of any configuration is below what is known."""
-    least_bound = jnp.min(bounds[some], axis=0)
+    """Search the rows `span`, unless no bound of any configuration is below what is known."""
+    least_bound = jnp.min(bounds[span], axis=0)
     idle = known._replace(distance=jnp.full_like(least_bound, FAR), rest=least_bound)
     return jax.lax.cond(
         jnp.any(least_bound < known.distance),
-        lambda: narrow_phase.search(measure, rows, whole, groups, some, bounds, *measured),
+        lambda: narrow_phase.search(measure, rows, row_boxes, groups, span, bounds, *measured),
         lambda: idle,
     )
 

@@ -96,16 +96,16 @@ def _row_flags(allowed: Array, row: Array) -> Array:
 
 
 def search(
-    measure, rows, whole, groups, some: slice, best: Array, count: int, pairs: int
+    measure, rows, row_boxes, groups, span: slice, best: Array, count: int, pairs: int
 ) -> Nearest:
     """Measure the most promising pairs: those with the least bounds, of the rows with the least.
 
     Args:
         measure: distance of the pair, see `primitive_kinds.PAIRS`.
         rows: the robot's primitives, all of them.
-        whole: those of `some` as blocks where their kind is needed whole, else None.
+        row_boxes: those of `span` as blocks where their kind is read so, else None.
         groups: (blocks, pairing) of obstacles.
-        some: the rows to search, all of one kind.
+        span: the rows to search, all of one kind.
         best: `[row, b]` bounds of all rows, `row_bounds` over all groups [m].
         count: rows to look at.
         pairs: pairs to measure of these rows.
@@ -114,10 +114,10 @@ def search(
         The nearest measured pair of each configuration, leaves `[b]`.
     """
     columns = sum(blocks.radius.shape[0] for blocks, _ in groups)
-    count = min(count, some.stop - some.start)
+    count = min(count, span.stop - span.start)
     pairs = min(pairs, count * columns)
-    _, span_index, other_rows = _smallest(best[some], count)
-    row = span_index + some.start
+    _, span_index, other_rows = _smallest(best[span], count)
+    row = span_index + span.start
     promising = _take_rows(rows, row)
     bounds = []
     for blocks, pairing in groups:
@@ -132,7 +132,7 @@ def search(
     column, rank = flat // count, flat % count
     operands = (
         _take_rows(promising, rank),
-        whole and _take_rows(whole, _take(span_index, rank)),
+        row_boxes and _take_rows(row_boxes, _take(span_index, rank)),
         _pick([b for b, _ in groups], column),
     )
 
@@ -175,7 +175,7 @@ def _pick(groups: list[RoundedBoxes], column: Array) -> RoundedBoxes:
     return jax.tree.map(lambda *a: sum(a), *parts)
 
 
-def tabulate(measure, rows, whole, groups, some: slice) -> Nearest:
+def tabulate(measure, rows, row_boxes, groups, span: slice) -> Nearest:
     """Measure every pair of some rows: the plain answer, for few configurations.
 
     All pairs at once, then the least of them by a loop: slices of columns inside the measuring, or
@@ -184,20 +184,20 @@ def tabulate(measure, rows, whole, groups, some: slice) -> Nearest:
     Args:
         measure: distance of the pair, see `primitive_kinds.PAIRS`.
         rows: the robot's primitives, all of them.
-        whole: those of `some` as blocks where their kind is needed whole, else None.
+        row_boxes: those of `span` as blocks where their kind is read so, else None.
         groups: (blocks, pairing) of obstacles.
-        some: the rows to measure, all of one kind.
+        span: the rows to measure, all of one kind.
 
     Returns:
         The nearest pair of each configuration, leaves `[b]`.
     """
-    rows = Rows(*(a[..., None, some, :] for a in rows))
-    whole = whole and RoundedBoxes(*(a[..., None, :, :] for a in whole))
+    rows = Rows(*(a[..., None, span, :] for a in rows))
+    row_boxes = row_boxes and RoundedBoxes(*(a[..., None, :, :] for a in row_boxes))
     blocks = RoundedBoxes(
         *(_join(a)[..., None, :] for a in zip(*(b for b, _ in groups), strict=True))
     )
     flags = jnp.swapaxes(_join([pair_flags(p).swapaxes(0, 1) for _, p in groups]), 0, 1)
-    gap = jnp.where(flags[:, some] > 0, measure(rows, whole, blocks), FAR)
+    gap = jnp.where(flags[:, span] > 0, measure(rows, row_boxes, blocks), FAR)
 
     def nearer(i, state):
         best, column = state
@@ -208,7 +208,7 @@ def tabulate(measure, rows, whole, groups, some: slice) -> Nearest:
     best, column = jax.lax.fori_loop(0, gap.shape[0], nearer, start)
     gaps, row, _ = _smallest(best, 1)
     nearest_column = _take(column, row)[0]
-    return Nearest(gaps[0], row[0] + some.start, nearest_column, jnp.full_like(gaps[0], FAR))
+    return Nearest(gaps[0], row[0] + span.start, nearest_column, jnp.full_like(gaps[0], FAR))
 
 
 def around(rows: Rows, own: RoundedBoxes, groups) -> Nearest:

@@ -23,8 +23,8 @@ class PrimitiveKind(NamedTuple):
     name: str
     is_one: Callable[[Any], bool]
     """From half extents `[3]` [m]: is a primitive with these of this kind?"""
-    whole: bool
-    """Does its distance need a robot's primitive whole, as `RoundedBoxes`, or `Rows` alone?"""
+    as_box: bool
+    """Does its distance read a robot's primitive as `RoundedBoxes`, or as `Rows` alone?"""
     ray: Callable
     """Length of rays until they meet it, from origin, direction and its operands."""
     ray_operands: Callable
@@ -41,14 +41,14 @@ KINDS = (
     PrimitiveKind(
         "capsule",  # and sphere, a capsule without length
         is_one=lambda half_extents: half_extents[0] == 0.0 and half_extents[1] == 0.0,
-        whole=False,
+        as_box=False,
         ray=ray_capsule,
         ray_operands=_axis_ends,
     ),
     PrimitiveKind(
         "rounded box",
         is_one=lambda half_extents: True,
-        whole=True,
+        as_box=True,
         ray=ray_box,
         ray_operands=lambda pose, half_extents, radius: (pose, half_extents),
     ),
@@ -57,23 +57,23 @@ KINDS = (
 
 PAIRS: dict[tuple[str, str], Callable] = {
     # capsules apart from boxes: their distance needs no test of twelve edges
-    ("capsule", "rounded box"): lambda rows, whole, block: distance.capsule_rounded_box(
+    ("capsule", "rounded box"): lambda rows, row_boxes, block: distance.capsule_rounded_box(
         rows.centre, rows.axis, rows.radius, block
     ),
-    ("rounded box", "rounded box"): lambda rows, whole, block: distance.rounded_box_rounded_box(
-        whole, block
+    ("rounded box", "rounded box"): lambda rows, row_boxes, block: distance.rounded_box_rounded_box(
+        row_boxes, block
     ),
     # of a robot that is made of balls alone
-    ("ball", "ball"): lambda rows, whole, block: distance.sphere_sphere(
+    ("ball", "ball"): lambda rows, row_boxes, block: distance.sphere_sphere(
         rows.centre, rows.radius, block
     ),
-    ("ball", "rounded box"): lambda rows, whole, block: distance.sphere_rounded_box(
+    ("ball", "rounded box"): lambda rows, row_boxes, block: distance.sphere_rounded_box(
         rows.centre, rows.radius, block
     ),
 }
 """Exact signed distance of a robot's primitive and an obstacle [m], by their kinds.
 
-From the robot's `Rows`, the same as `RoundedBoxes` where its kind is needed whole (else None), and
+From the robot's `Rows`, the same as `RoundedBoxes` where its kind is read so (else None), and
 the obstacle as `RoundedBoxes`; components broadcast. Every obstacle is a rounded box, too."""
 
 
@@ -107,6 +107,6 @@ def joined_order(first: Sequence[int], second: Sequence[int]) -> list[int]:
     return order
 
 
-def rows_needed_whole(counts: Sequence[int]) -> list[int]:
-    """Numbers of the primitives whose kind is needed whole."""
-    return [i for i, kind in enumerate(kinds_of(counts)) if KINDS[kind].whole]
+def rows_as_boxes(counts: Sequence[int]) -> list[int]:
+    """Numbers of the primitives that are read as `RoundedBoxes`."""
+    return [i for i, kind in enumerate(kinds_of(counts)) if KINDS[kind].as_box]

@@ -12,7 +12,7 @@ from jax import Array
 
 from hybrid_jax.kernels import vec3
 from hybrid_jax.kernels.collision.distance import FAR
-from hybrid_jax.kernels.collision.primitive_kinds import joined_order, rows_needed_whole, spans
+from hybrid_jax.kernels.collision.primitive_kinds import joined_order, rows_as_boxes, spans
 from hybrid_jax.kernels.kinematics import link_frames
 from hybrid_jax.kernels.vec3 import Vector
 from hybrid_jax.types import KinematicChain, Shapes, Workcell
@@ -146,7 +146,7 @@ def _local(shapes: Shapes):
 
 
 def robot_rows(cell: Workcell, q: Array) -> tuple[Rows, RoundedBoxes]:
-    """The robot's primitives in the world, and as blocks those that are needed whole.
+    """The robot's primitives in the world, and as blocks those that are read so.
 
     Args:
         cell: leaves `[1 or b, ...]`.
@@ -156,7 +156,7 @@ def robot_rows(cell: Workcell, q: Array) -> tuple[Rows, RoundedBoxes]:
         All rows, leaves `[..., row, b]`, and the blocks of `block_rows`, leaves `[..., n, b]`.
     """
     shapes = local_shapes(cell)
-    links, whole_rows = jnp.array(row_links(cell)), block_rows(cell)
+    links, box_rows = jnp.array(row_links(cell)), block_rows(cell)
     positions, rotations = link_frames(cell.chain, q)
     positions, to_world = (jnp.take(a, links, axis=-2, mode="clip") for a in (positions, rotations))
     centre, rotation, half = _local(shapes)
@@ -167,7 +167,7 @@ def robot_rows(cell: Workcell, q: Array) -> tuple[Rows, RoundedBoxes]:
     # a capsule lies along the z axis of its frame
     rows = Rows(centre, vec3.stack(axes[2]), extent, radius)
     parts = (centre, to_world, vec3.stack(rotation), half, extent, radius)
-    centre, to_world, rotation, half, extent, radius = (_some(a, whole_rows) for a in parts)
+    centre, to_world, rotation, half, extent, radius = (_some(a, box_rows) for a in parts)
     axes = [vec3.turn(to_world, rotation[:, k]) for k in range(3)]
     rotation = vec3.stack([[axes[k][i] for k in range(3)] for i in range(3)])
     return rows, RoundedBoxes(centre, rotation, half, extent, radius)
@@ -181,8 +181,8 @@ def _some(array: Array, rows: list[int]) -> Array:
 
 
 def block_rows(cell: Workcell) -> list[int]:
-    """Numbers of the rows that are needed whole: the cover of the self pairs, then some kinds."""
-    return list(cell.pairs.cover) + rows_needed_whole(row_counts(cell))
+    """Numbers of the rows that are read as boxes: the cover of the self pairs, then some kinds."""
+    return list(cell.pairs.cover) + rows_as_boxes(row_counts(cell))
 
 
 def row_counts(cell: Workcell) -> tuple[int, ...]:
