@@ -74,7 +74,7 @@ def operations(cell) -> float:
     """Floating point operations of one clearance: bounds of all pairs, exact for the nearest."""
     batch = jax.tree.map(lambda a: jnp.asarray(a)[None], cell)
     kernel = functools.partial(
-        clearance_kernel._kernel, parts="all", measured=clearance_kernel._MEASURED
+        clearance_kernel._kernel, against="all", measured=clearance_kernel._MEASURED
     )
     q = jnp.zeros((CPU_CHUNK, cell.home.size))
     cost = jax.jit(lambda q: kernel(batch, q).distance).lower(q).compile().cost_analysis()

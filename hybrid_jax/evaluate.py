@@ -118,16 +118,16 @@ def run_study(
     return metrics
 
 
-def run_blocks(study, opened, one, seeds: range, out: Path, journal, quiet: bool) -> None:
+def run_blocks(study, opened, method, seeds: range, out: Path, journal, quiet: bool) -> None:
     """Carry out the runs of one method that the journal lacks, block by block."""
     for first in range(0, len(seeds), BLOCK):
         block = seeds[first : first + BLOCK]
-        if not journal.missing(one.name, block):
+        if not journal.missing(method.name, block):
             continue
-        reports, took = study.run_method(opened.cell, one, block, quiet)
+        reports, took = study.run_method(opened.cell, method, block, quiet)
         failed = [report for report in reports if not study.succeeded(report)]
-        keep_motions(out.with_suffix(""), one.name, map(study.frames_of, failed))
-        journal.add(one.name, block, [study.row_of(one.name, r) for r in reports], took)
+        keep_motions(out.with_suffix(""), method.name, map(study.frames_of, failed))
+        journal.add(method.name, block, [study.row_of(method.name, r) for r in reports], took)
 
 
 def keep_motions(folder: Path, method: str, motions) -> None:

@@ -135,15 +135,15 @@ def split_settings(arguments: list[str]) -> tuple[list[str], tuple[str, ...]]:
     Values stand after their option, so they go where it went.
     """
     options = {name.replace("_", "-") for name in inspect.signature(main).parameters} | {"help"}
-    plain, settings, destination = [], [], None
+    own_arguments, settings, destination = [], [], None
     for argument in arguments:
         if argument.startswith("--"):
             name = argument[2:].partition("=")[0].replace("_", "-")
-            destination = plain if name in options or not _is_setting(name) else settings
+            destination = own_arguments if name in options or not _is_setting(name) else settings
         elif argument == "-h":
-            destination = plain
-        (plain if destination is None else destination).append(argument)
-    return plain, tuple(settings)
+            destination = own_arguments
+        (own_arguments if destination is None else destination).append(argument)
+    return own_arguments, tuple(settings)
 
 
 def _is_setting(name: str) -> bool:
@@ -157,10 +157,10 @@ def _is_setting(name: str) -> bool:
 
 def command(arguments: list[str] | None = None) -> int:
     """Call `main` with arguments of a terminal, those of this process if None."""
-    plain, settings = split_settings(sys.argv[1:] if arguments is None else arguments)
+    own_arguments, settings = split_settings(sys.argv[1:] if arguments is None else arguments)
     return tyro.cli(
         functools.partial(main, settings=settings),
-        args=plain,
+        args=own_arguments,
         prog=called_as(),
         config=(tyro.conf.FlagCreatePairsOff,),
     )

@@ -141,7 +141,7 @@ def test_an_accelerators_passes_give_the_same(cell, monkeypatch):
     low, high = np.asarray(cell.joint_limits).T
     q = jnp.asarray(np.random.default_rng(5).uniform(low, high, (4300, len(low))), jnp.float32)
     wide = jax.tree.map(lambda a: jnp.asarray(a)[None], cell)
-    whole = np.asarray(clearance_module._kernel(wide, q, parts="all", measured=None).distance)
+    whole = np.asarray(clearance_module._kernel(wide, q, against="all", measured=None).distance)
     asked = []
     monkeypatch.setattr(
         clearance_module, "by_backend", lambda cpu, other: asked.append(other) or other

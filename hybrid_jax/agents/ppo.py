@@ -195,7 +195,9 @@ def judge(net: ActorCritic, config: PpoConfig, learner: Learner, data) -> dict[s
     return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), samples)
 
 
-def improve(net: ActorCritic, config: PpoConfig, learner: Learner, samples, key: Array, parts: int):
+def improve(
+    net: ActorCritic, config: PpoConfig, learner: Learner, samples, key: Array, device_count: int
+):
     """Passes of minibatch gradient steps; each device has its share of every minibatch.
 
     Args:
@@ -204,7 +206,7 @@ def improve(net: ActorCritic, config: PpoConfig, learner: Learner, samples, key:
         learner: one seed.
         samples: `[sample, ...]` of this device.
         key: consumed.
-        parts: number of devices.
+        device_count: number of devices.
 
     Returns:
         (parameters, optimizer state), and loss terms `[epoch, minibatch]`.
@@ -226,9 +228,9 @@ def improve(net: ActorCritic, config: PpoConfig, learner: Learner, samples, key:
         order = jax.random.permutation(key_order, count)
         # one gather an epoch: one a minibatch is slower where minibatches are small
         batches = jax.tree.map(
-            lambda a: a[order].reshape(-1, config.minibatch // parts, *a.shape[1:]), samples
+            lambda a: a[order].reshape(-1, config.minibatch // device_count, *a.shape[1:]), samples
         )
-        keys = jax.random.split(key_entropy, count * parts // config.minibatch)
+        keys = jax.random.split(key_entropy, count * device_count // config.minibatch)
         return jax.lax.scan(minibatch, carry, (batches, keys))
 
     keys = jax.random.split(key, config.epochs)
@@ -247,7 +249,9 @@ def report(data, terms) -> dict[str, Array]:
     return jax.lax.pmean(means, AXIS) | base.episode_means(sums)
 
 
-def update(net: ActorCritic, config: PpoConfig, learner: Learner, data, key: Array, parts: int):
+def update(
+    net: ActorCritic, config: PpoConfig, learner: Learner, data, key: Array, device_count: int
+):
     """The learner after one rollout, and scalar metrics.
 
     Args:
@@ -256,10 +260,10 @@ def update(net: ActorCritic, config: PpoConfig, learner: Learner, data, key: Arr
         learner: one seed.
         data: `[step, copy, ...]` from `collect`, of this device.
         key: consumed.
-        parts: number of devices.
+        device_count: number of devices.
     """
     samples = judge(net, config, learner, data)
-    (params, opt), terms = improve(net, config, learner, samples, key, parts)
+    (params, opt), terms = improve(net, config, learner, samples, key, device_count)
     # for the next rollout: the stored `log_prob` belong to the present statistics
     normalizer = running_statistics.update(learner.normalizer, data["obs"], pmap_axis_name=AXIS)
     updated = learner.replace(params=params, optimizer=opt, normalizer=normalizer)

@@ -29,7 +29,7 @@ def refuse_broken(steps: int, metrics: dict[str, np.ndarray], params: Any) -> No
 
     Args:
         steps: environment steps done.
-        metrics: arrays of any shape by name.
+        metrics: arrays `[...]` by name.
         params: pytree of arrays.
 
     Raises:

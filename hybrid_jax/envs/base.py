@@ -174,6 +174,10 @@ def episode_sums(data: dict[str, Any]) -> dict[str, Array]:
 
 
 def episode_means(sums: dict[str, Array]) -> dict[str, Array]:
-    """Number of episodes, their share of successes and mean return, from `episode_sums`."""
+    """Number of episodes, their share of successes and mean return, each `[]`.
+
+    Args:
+        sums: from `episode_sums`.
+    """
     ended = sums["episodes"]
     return {k: v / jnp.maximum(ended, 1.0) for k, v in sums.items()} | {"episodes": ended}

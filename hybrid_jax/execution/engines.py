@@ -89,7 +89,7 @@ class DeviceEngine:
         states: Float[np.ndarray, "run state"],
         commands: Float[np.ndarray, "run step command"],
     ) -> tuple[States, Touching]:
-        """Simulate all runs; shapes are those of `HostEngine.roll`.
+        """Simulate all runs from states `[run, state]`; shapes are those of `HostEngine.roll`.
 
         Raises:
             InputError: the runs do not share one model.

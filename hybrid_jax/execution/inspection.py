@@ -140,9 +140,9 @@ class Inspecting:
             tool_poses += plant.tools(MEASURED)
         return np.array(tool_poses)
 
-    def _compare(self, wanted: np.ndarray, tool: np.ndarray) -> None:
+    def _compare(self, key_pose: np.ndarray, tool: np.ndarray) -> None:
         """Note the error of a tool pose `[7]` against a key pose `[8]`."""
-        distance, angle = _tool_error(wanted, tool)
+        distance, angle = _tool_error(key_pose, tool)
         self.report.away.append(distance)
         self.report.turned.append(angle)
 
@@ -202,9 +202,9 @@ def plant_of(
     return Plant(sensed, scene, ticks(sensed, config.tick), model, start)
 
 
-def _tool_error(wanted: np.ndarray, tool: np.ndarray) -> tuple[float, float]:
+def _tool_error(key_pose: np.ndarray, tool: np.ndarray) -> tuple[float, float]:
     """Distance [m] and largest Euler angle [rad] of a tool pose `[7]` from a key pose `[8]`."""
-    row = pose_row(wanted)
+    row = pose_row(key_pose)
     error = pose_of(row[:3], row[3:]).inv() * pose_of(tool[:3], tool[3:])
     angle = np.abs(error.rotation.as_euler("xyz")).max()
     return float(np.linalg.norm(error.translation)), float(angle)

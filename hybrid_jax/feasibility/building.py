@@ -139,8 +139,10 @@ def _reasons(field: Field) -> np.ndarray:
 def _scale(judge: Judge, limits: np.ndarray, rng) -> float:
     """95th percentile of the manipulability of collision-free configurations; 1 without any."""
     # a configuration attempts its own tool pose, with no step of IK: it is judged as it is
-    q = rng.uniform(*limits.T, (_SCALE_SAMPLES, len(limits))).astype(np.float32)
-    level, _, _, man, _ = judge.attempt(*judge.sample(q), q, 0)
+    low, high = limits.T
+    q = rng.uniform(low, high, (_SCALE_SAMPLES, len(limits))).astype(np.float32)
+    position, quat = judge.sample(q)
+    level, _, _, man, _ = judge.attempt(position, quat, q, 0)
     free_manipulability = man[level >= Level.FREE]
     return float(np.percentile(free_manipulability, 95)) if len(free_manipulability) else 1.0
 

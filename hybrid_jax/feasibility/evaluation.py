@@ -142,7 +142,7 @@ class Judge:
         return self._run(self._attempt, [position, quat, seed], shared)
 
     def stretch(self, position, quat, seed, iterations: int) -> list[np.ndarray]:
-        """Attempt poses without joint limits; arguments and results are those of `attempt`.
+        """Attempt poses `[n, 3]`, `[n, 4]` without joint limits; all shapes are those of `attempt`.
 
         The level is at most `BEYOND_LIMITS`; clearance and manipulability are not looked at: 0.
         """

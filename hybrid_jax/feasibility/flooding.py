@@ -165,7 +165,8 @@ class Flood:
         level = self.field.level
         index = np.flatnonzero((level == Level.REACHED) | (level == Level.FREE))
         if len(index):
-            seed = rng.uniform(*limits.T, (len(index), len(limits))).astype(np.float32)
+            low, high = limits.T
+            seed = rng.uniform(low, high, (len(index), len(limits))).astype(np.float32)
             self._try(index, seed, self.config.ik.iterations)
         return len(index)
 

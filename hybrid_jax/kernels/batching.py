@@ -79,15 +79,17 @@ def batched(kernel: Callable) -> Callable:
     def _merge(axis_size, in_batched, *args):
         """Flatten a further batch axis into the one the kernel knows."""
         inner_size = max(
-            a.shape[1] if on else a.shape[0]
-            for a, on in zip(jax.tree.leaves(args), jax.tree.leaves(in_batched), strict=True)
+            a.shape[1] if is_batched else a.shape[0]
+            for a, is_batched in zip(
+                jax.tree.leaves(args), jax.tree.leaves(in_batched), strict=True
+            )
         )
 
-        def merge(a, on):
+        def merge(a, is_batched):
             # what all items share stays one entry: the kernel broadcasts it
-            if not on and a.shape[0] == 1:
+            if not is_batched and a.shape[0] == 1:
                 return a
-            a = a if on else jnp.broadcast_to(a, (axis_size, *a.shape))
+            a = a if is_batched else jnp.broadcast_to(a, (axis_size, *a.shape))
             a = jnp.broadcast_to(a, (axis_size, inner_size, *a.shape[2:]))
             return a.reshape(axis_size * inner_size, *a.shape[2:])
 

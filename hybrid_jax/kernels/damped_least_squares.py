@@ -24,9 +24,9 @@ def _rotation_vector(quat):
     sign = jnp.where(quat[0] < 0, -1.0, 1.0)
     w, v = quat[0] * sign, vec3.scale(quat[1:], sign)
     sine = jnp.sqrt(vec3.dot(v, v))
-    small = sine < 1e-6
+    is_small = sine < 1e-6
     angle = 2 * jnp.arctan2(sine, w)
-    return vec3.scale(v, jnp.where(small, 2.0, angle / jnp.where(small, 1.0, sine)))
+    return vec3.scale(v, jnp.where(is_small, 2.0, angle / jnp.where(is_small, 1.0, sine)))
 
 
 def _task_error(chain: KinematicChain, pose, q: Array):

@@ -60,10 +60,12 @@ def quat_exp(rotation: Float[Array, "*b 3"]) -> Float[Array, "*b 4"]:
     """Unit quaternion `[*b, 4]` of a rotation vector `[*b, 3]` [rad]."""
     sq = jnp.sum(rotation * rotation, axis=-1, keepdims=True)
     # below this the first term left out, of order sq^2, is smaller than the rounding error
-    small = sq < jnp.finfo(rotation.dtype).eps ** 0.5
-    angle = jnp.sqrt(jnp.where(small, 1.0, sq))
-    scale = jnp.where(small, 0.5 - sq / 48, jnp.sin(angle / 2) / angle)
-    return jnp.concatenate([jnp.where(small, 1 - sq / 8, jnp.cos(angle / 2)), scale * rotation], -1)
+    is_small = sq < jnp.finfo(rotation.dtype).eps ** 0.5
+    angle = jnp.sqrt(jnp.where(is_small, 1.0, sq))
+    scale = jnp.where(is_small, 0.5 - sq / 48, jnp.sin(angle / 2) / angle)
+    return jnp.concatenate(
+        [jnp.where(is_small, 1 - sq / 8, jnp.cos(angle / 2)), scale * rotation], -1
+    )
 
 
 def quat_log(q: Float[Array, "*b 4"]) -> Float[Array, "*b 3"]:
@@ -74,10 +76,10 @@ def quat_log(q: Float[Array, "*b 4"]) -> Float[Array, "*b 3"]:
     q = jnp.where(q[..., :1] < 0, -q, q)
     w, u = q[..., :1], q[..., 1:]
     sq = jnp.sum(u * u, axis=-1, keepdims=True)
-    small = sq < jnp.finfo(q.dtype).eps ** 0.5
+    is_small = sq < jnp.finfo(q.dtype).eps ** 0.5
     # atan2: near the identity acos(w) loses half of the digits
-    norm = jnp.sqrt(jnp.where(small, 1.0, sq))
-    scale = jnp.where(small, (2 - 2 * sq / (3 * w * w)) / w, 2 * jnp.arctan2(norm, w) / norm)
+    norm = jnp.sqrt(jnp.where(is_small, 1.0, sq))
+    scale = jnp.where(is_small, (2 - 2 * sq / (3 * w * w)) / w, 2 * jnp.arctan2(norm, w) / norm)
     return scale * u
 
 
@@ -136,11 +138,11 @@ def exp(twist: Float[Array, "*b 6"]) -> Float[Array, "*b 8"]:
     """
     v, w = twist[..., :3], twist[..., 3:]
     sq = jnp.sum(w * w, axis=-1, keepdims=True)
-    small = sq < jnp.finfo(twist.dtype).eps ** 0.5
-    sq_safe = jnp.where(small, 1.0, sq)
+    is_small = sq < jnp.finfo(twist.dtype).eps ** 0.5
+    sq_safe = jnp.where(is_small, 1.0, sq)
     angle = jnp.sqrt(sq_safe)
-    half_sinc = jnp.where(small, 0.5 - sq / 48, jnp.sin(angle / 2) / angle)
-    cos_half = jnp.where(small, 1 - sq / 8, jnp.cos(angle / 2))
+    half_sinc = jnp.where(is_small, 0.5 - sq / 48, jnp.sin(angle / 2) / angle)
+    cos_half = jnp.where(is_small, 1 - sq / 8, jnp.cos(angle / 2))
     b = 2 * half_sinc * half_sinc
     # (angle - sin angle) / angle^3, its series where it cancels
     series = 1 / 6 - sq * (1 / 120 - sq * (1 / 5040 - sq / 362880))
@@ -158,11 +160,11 @@ def log(q: Float[Array, "*b 8"]) -> Float[Array, "*b 6"]:
     w = quat_log(q[..., :4])
     translation = position(q)
     sq = jnp.sum(w * w, axis=-1, keepdims=True)
-    small = sq < _SERIES
-    sq_safe = jnp.where(small, 1.0, sq)
+    is_small = sq < _SERIES
+    sq_safe = jnp.where(is_small, 1.0, sq)
     half = jnp.sqrt(sq_safe) / 2
     series = 1 / 12 + sq * (1 / 720 + sq * (1 / 30240 + sq / 1209600))
-    d = jnp.where(small, series, (1 - half / jnp.tan(half)) / sq_safe)
+    d = jnp.where(is_small, series, (1 - half / jnp.tan(half)) / sq_safe)
     wt = jnp.cross(w, translation)
     return jnp.concatenate([translation - 0.5 * wt + d * jnp.cross(w, wt), w], axis=-1)
 

@@ -79,16 +79,16 @@ def fastest_speeds(
     """
     a, b, c = lines = _lines(slope, bend, step, rate)
     bound = _still_bounds(slope, step, lines, speed, cap)
-    last = step <= 0
+    at_end = step <= 0
 
     # backwards: the end of the speeds from which those controllable at the next point are reached
     def retreat(after, row):
-        a, b, c, double_step, bound, last = row
+        a, b, c, double_step, bound, at_end = row
         controllable = jnp.min(_ratio(a * after + double_step * c, a - double_step * b))
-        end = jnp.where(last, 0.0, INSIDE * jnp.minimum(bound, controllable))
+        end = jnp.where(at_end, 0.0, INSIDE * jnp.minimum(bound, controllable))
         return end, end
 
-    rows = a, b, c, 2 * step, bound, last
+    rows = a, b, c, 2 * step, bound, at_end
     ends = jax.lax.scan(retreat, jnp.zeros(()), rows, reverse=True, unroll=4)[1]
 
     # forwards: the largest acceleration that stays within those sets

@@ -70,7 +70,7 @@ def _slice(ax, values: np.ndarray, axes: list[np.ndarray], across: int, **style)
     ax.set(
         xlabel=f"{'xyz'[u]} [m]",
         ylabel=f"{'xyz'[v]} [m]",
-        title=f"at {'xyz'[across]} = {round(axes[across][middle], 2) + 0.0:.2f} m",
+        title=f"at {'xyz'[across]} = {round(float(axes[across][middle]), 2) + 0.0:.2f} m",
     )
 
 

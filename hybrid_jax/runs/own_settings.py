@@ -30,8 +30,8 @@ def changed(preset: Preset, file: Path | None, options: tuple[str, ...]) -> Pres
         preset = from_values(Preset, values, str(file))
     if not options:
         return preset
-    plain = tyro.conf.AvoidSubcommands, tyro.conf.FlagCreatePairsOff
-    return tyro.cli(Preset, default=preset, args=options, prog="settings:", config=plain)
+    style = tyro.conf.AvoidSubcommands, tyro.conf.FlagCreatePairsOff
+    return tyro.cli(Preset, default=preset, args=options, prog="settings:", config=style)
 
 
 def as_file(preset: Preset) -> str:

@@ -30,13 +30,13 @@ def as_values(settings) -> dict:
     return values
 
 
-def from_values(kind: type[T], values: Any, where: str) -> T:
+def from_values(kind: type[T], values: Any, label: str) -> T:
     """Settings from plain values; the inverse of `as_values`.
 
     Args:
         kind: frozen dataclass.
         values: of all its fields.
-        where: name of the settings in messages.
+        label: name of the settings in messages.
 
     Returns:
         An instance of `kind`.
@@ -45,25 +45,25 @@ def from_values(kind: type[T], values: Any, where: str) -> T:
         InputError: a field is missing, unknown or of another type; the message names it.
     """
     if not isinstance(values, dict):
-        raise InputError(f"{where} must be a table of settings, got {shortened(repr(values))}")
+        raise InputError(f"{label} must be a table of settings, got {shortened(repr(values))}")
     hints = get_type_hints(kind)
     for name in sorted(set(values) ^ set(hints)):
         fault = "is missing" if name in hints else f"is unknown; there are: {', '.join(hints)}"
-        raise InputError(f"{where}.{name} {fault}")
-    return kind(**{n: _field(hints[n], values[n], f"{where}.{n}") for n in hints})
+        raise InputError(f"{label}.{name} {fault}")
+    return kind(**{n: _field(hints[n], values[n], f"{label}.{n}") for n in hints})
 
 
-def differences(ours, others, where: str = "") -> Iterator[tuple[str, Any, Any]]:
+def differences(ours, others, label: str = "") -> Iterator[tuple[str, Any, Any]]:
     """Fields in which two settings of one class differ: dotted name, first and second value."""
     for field in fields(ours):
-        name, a, b = f"{where}{field.name}", getattr(ours, field.name), getattr(others, field.name)
+        name, a, b = f"{label}{field.name}", getattr(ours, field.name), getattr(others, field.name)
         if is_dataclass(a) and type(a) is type(b):
             yield from differences(a, b, f"{name}.")
         elif a != b:
             yield name, a, b
 
 
-def merged(values: dict, changes: Any, where: str) -> dict:
+def merged(values: dict, changes: Any, label: str) -> dict:
     """Values with some of them changed: `{"joint": {"rollouts": [8]}}` changes one.
 
     A record whose `kind` changes is replaced as a whole.
@@ -71,19 +71,19 @@ def merged(values: dict, changes: Any, where: str) -> dict:
     Args:
         values: from `as_values`.
         changes: some of the same keys.
-        where: name of the changes in messages.
+        label: name of the changes in messages.
 
     Raises:
         InputError: a key of the changes is unknown.
     """
     if not isinstance(changes, dict):
-        raise InputError(f"{where} must be a table of settings, got {shortened(repr(changes))}")
+        raise InputError(f"{label} must be a table of settings, got {shortened(repr(changes))}")
     result = dict(values)
     for name, change in changes.items():
         if name not in values:
-            raise InputError(f"{where}.{name} is unknown; there are: {', '.join(values)}")
+            raise InputError(f"{label}.{name} is unknown; there are: {', '.join(values)}")
         if _same_record(values[name], change):
-            change = merged(values[name], change, f"{where}.{name}")
+            change = merged(values[name], change, f"{label}.{name}")
         result[name] = change
     return result
 
@@ -103,28 +103,28 @@ def _choices(hint) -> tuple:
     return get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
 
 
-def _field(hint, value, where: str):
+def _field(hint, value, label: str):
     """A value converted to the type of its field."""
     choices, records = _choices(hint), _records(hint)
     if records and isinstance(value, dict):
-        return _record(records, value, where)
+        return _record(records, value, label)
     for choice in choices:
         parsed, fits = _plain(choice, value)
         if fits:
             return parsed
     expected = getattr(hint, "__name__", str(hint)) if len(choices) == 1 else str(hint)
-    raise InputError(f"{where} is {shortened(repr(value))}; it must be {expected}")
+    raise InputError(f"{label} is {shortened(repr(value))}; it must be {expected}")
 
 
-def _record(records: list[type], value: dict, where: str):
+def _record(records: list[type], value: dict, label: str):
     if len(records) == 1:
-        return from_values(records[0], value, where)
+        return from_values(records[0], value, label)
     named = {record.__name__: record for record in records}
     if value.get(KIND) not in named:
         known = ", ".join(named)
-        raise InputError(f"{where}.{KIND} is {value.get(KIND)!r}; it must be one of: {known}")
+        raise InputError(f"{label}.{KIND} is {value.get(KIND)!r}; it must be one of: {known}")
     inner_values = {name: inner for name, inner in value.items() if name != KIND}
-    return from_values(named[value[KIND]], inner_values, where)
+    return from_values(named[value[KIND]], inner_values, label)
 
 
 def _plain(hint, value) -> tuple[Any, bool]:

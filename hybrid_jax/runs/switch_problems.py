@@ -32,14 +32,16 @@ def combined_phases(planner: Planner, tasks: Sequence[Task], key: Array) -> list
         One problem a phase, with configurations `[2, STEPS, joint]` [rad].
     """
     key_label, key_bridge = jax.random.split(key)
-    planner = replace(planner, config=replace(planner.config, path_ik=planner.config.first_look))
+    config = replace(planner.config, path_ik=planner.config.first_look)
+    # what the fallback bridges is no choice between skill and joint agent
+    planner = replace(planner, config=config, fallback=None)
     checker = ConfigurationChecker(planner.cell, planner.config.check)
     _, jobs = prepare(planner, checker, tasks, key_label)
     for job in jobs.values():
         choose_route(planner, checker, job)
     ready = [job for job in jobs.values() if not job.done]
     if planner.bridge is not None:
-        bridge_jobs(planner, None, ready, key_bridge)
+        bridge_jobs(planner, ready, key_bridge)
     drafts = [draft for job in ready for draft in _drafts(planner, job)]
     if not drafts:
         return []

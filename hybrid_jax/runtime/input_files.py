@@ -19,12 +19,12 @@ MOST_ARRAYS = 2**31
 """Largest size of an archive of arrays, unpacked [byte]."""
 
 
-def require_regular(path: Path, most: int, error: type[HybridJaxError]) -> None:
-    """Raise `error` where a path is no regular file, or is larger than `most`.
+def require_regular(path: Path, limit: int, error: type[HybridJaxError]) -> None:
+    """Raise `error` where a path is no regular file, or is larger than `limit`.
 
     Args:
         path: of the file.
-        most: largest size [byte].
+        limit: largest size [byte].
         error: class of the error that is raised.
     """
     try:
@@ -33,22 +33,22 @@ def require_regular(path: Path, most: int, error: type[HybridJaxError]) -> None:
         raise error(f"{_short(path)} cannot be read: {_reason(reason)}") from None
     if not stat.S_ISREG(info.st_mode):
         raise error(f"{_short(path)} is no regular file")
-    if info.st_size > most:
+    if info.st_size > limit:
         raise error(
-            f"{_short(path)} has {info.st_size / 2**20:,.0f} MiB; at most {most / 2**20:,.0f} MiB "
+            f"{_short(path)} has {info.st_size / 2**20:,.0f} MiB; at most {limit / 2**20:,.0f} MiB "
             "are read"
         )
 
 
-def read_text(path: Path, error: type[HybridJaxError], most: int = MOST_TEXT) -> str:
+def read_text(path: Path, error: type[HybridJaxError], limit: int = MOST_TEXT) -> str:
     """Text of a UTF-8 file.
 
     Args:
         path: of the file.
         error: class of the error that is raised where it cannot be read.
-        most: largest size [byte].
+        limit: largest size [byte].
     """
-    require_regular(path, most, error)
+    require_regular(path, limit, error)
     try:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as reason:
@@ -58,7 +58,7 @@ def read_text(path: Path, error: type[HybridJaxError], most: int = MOST_TEXT) ->
 def read_arrays(
     path: Path, error: type[HybridJaxError], wanted: Callable[[str], bool] = lambda name: True
 ) -> dict[str, np.ndarray]:
-    """Arrays of an `.npz` file by name, in their stored shapes.
+    """Arrays `[...]` of an `.npz` file by name, in their stored shapes.
 
     Args:
         path: of the file.

@@ -25,8 +25,8 @@ class Progress:
         time_now = time.monotonic()
         if self.first is None:  # the rate counts from the first report, without compilation
             self.first = (time_now, done)
-        last = done >= total
-        if self.quiet or (time_now - self.printed < (LIVE if self.live else DEAD) and not last):
+        finished = done >= total
+        if self.quiet or (time_now - self.printed < (LIVE if self.live else DEAD) and not finished):
             return
         self.printed = time_now
         first_time, first_done = self.first
@@ -36,13 +36,13 @@ class Progress:
             else 0.0
         )
         elapsed = f"{time_now - self.began:.0f} s"
-        if last or rate == 0:  # without a rate there is no time left to state
-            timing = elapsed if last else f"{elapsed} so far"
+        if finished or rate == 0:  # without a rate there is no time left to state
+            timing = elapsed if finished else f"{elapsed} so far"
         else:
             speed = f"{rate:,.0f}/s" if rate >= 10 else f"{rate:.2g}/s"
             timing = f"{speed}  {(total - done) / rate:.0f} s left"
         text = f"{self.stage:7s} {done:>9,}/{total:,} {self.unit}  {timing}  {note}"
-        _write(text.rstrip(), self.live, last)
+        _write(text.rstrip(), self.live, finished)
 
 
 @contextlib.contextmanager
@@ -66,8 +66,8 @@ def working(stage: str, what: str, quiet: bool = False) -> Iterator[None]:
             _write(f"{stage:7s} {what}, {time.monotonic() - began:.1f} s", live, True)
 
 
-def _write(text: str, live: bool, last: bool) -> None:
+def _write(text: str, live: bool, finished: bool) -> None:
     if live:
-        print(f"\r{text[:118]:<118}", end="\n" if last else "", file=sys.stderr, flush=True)
+        print(f"\r{text[:118]:<118}", end="\n" if finished else "", file=sys.stderr, flush=True)
     else:
         print(text, file=sys.stderr, flush=True)

@@ -40,10 +40,10 @@ def beta(a: Float[Array, " 8 *a"], b: Float[Array, " 8 *b"], length: float = 0.3
     sine_squared = vec3.dot(turn[1:], turn[1:])
     half = jnp.arctan2(jnp.sqrt(sine_squared), jnp.abs(turn[0]))
     # without a rotation there is no axis: `safe` keeps the branch that is not taken finite
-    small = sine_squared < 1e-10
-    safe = jnp.where(small, 1.0, sine_squared)
-    stretch = jnp.where(small, 1.0, half * half / safe)
-    axial = jnp.where(small, 0.0, jnp.square(vec3.dot(turn[1:], offset)) / safe)
+    is_small = sine_squared < 1e-10
+    safe = jnp.where(is_small, 1.0, sine_squared)
+    stretch = jnp.where(is_small, 1.0, half * half / safe)
+    axial = jnp.where(is_small, 0.0, jnp.square(vec3.dot(turn[1:], offset)) / safe)
     square = stretch * vec3.dot(offset, offset) + (1 - stretch) * axial + (2 * length * half) ** 2
     return jnp.sqrt(jnp.maximum(square, 1e-20))
 

@@ -31,13 +31,13 @@ METHODS = (
 
 
 def run_method(
-    cell: Workcell, one: Method, numbers: Sequence[int], quiet: bool = False
+    cell: Workcell, method: Method, numbers: Sequence[int], quiet: bool = False
 ) -> tuple[list[SortingReport], float]:
     """Carry out all runs of one method.
 
     Args:
         cell: with handling data.
-        one: the method.
+        method: the method.
         numbers: seeds of the scenes.
         quiet: show no progress.
 
@@ -45,7 +45,7 @@ def run_method(
         One report a run, with frames `[frame, nq]`, and the time of all [s], compilation included.
     """
     return carry_out(
-        one,
+        method,
         "runs",
         len(numbers),
         numbers[0],
@@ -53,8 +53,8 @@ def run_method(
             cell,
             plan,
             numbers,
-            disturbance=one.disturbance,
-            config=one.execution,
+            disturbance=method.disturbance,
+            config=method.execution,
             progress=progress,
         ),
         quiet,

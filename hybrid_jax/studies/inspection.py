@@ -31,13 +31,13 @@ LEVELS = {
 
 
 def run_method(
-    cell: Workcell, one: Method, numbers: Sequence[int], quiet: bool = False
+    cell: Workcell, method: Method, numbers: Sequence[int], quiet: bool = False
 ) -> tuple[list[InspectionReport], float]:
     """Carry out a trial of every part for each number; every trial has its own seed.
 
     Args:
         cell: with inspection data.
-        one: the method.
+        method: the method.
         numbers: of the runs; see `drawn` for the seeds that follow from them.
         quiet: show no progress.
 
@@ -51,12 +51,12 @@ def run_method(
         for seed in numbers
     ]
     return carry_out(
-        one,
+        method,
         "trials",
         len(trials),
         numbers[0],
         lambda plan, progress: inspect_parts(
-            cell, plan, trials, one.disturbance, progress=progress
+            cell, plan, trials, method.disturbance, progress=progress
         ),
         quiet,
     )

@@ -71,12 +71,12 @@ def one_by_one(plan: Callable[..., PlanResult]) -> PlanMany:
 
 
 def carry_out(
-    one: Method, unit: str, count: int, seed: int, run: Callable, quiet: bool = False
+    method: Method, unit: str, count: int, seed: int, run: Callable, quiet: bool = False
 ) -> tuple[list, float]:
     """Let a method plan the tasks that a simulation requests.
 
     Args:
-        one: the method.
+        method: the method.
         unit, count: name and number of the runs, for the progress line.
         seed: of the method's random keys.
         run: from (planning, progress) to reports.
@@ -85,12 +85,12 @@ def carry_out(
     Returns:
         The reports, and their time [s], compilation included.
     """
-    start_time, progress = time.perf_counter(), Progress(one.name, unit, quiet)
+    start_time, progress = time.perf_counter(), Progress(method.name, unit, quiet)
 
     def report(ended: int, simulated: float) -> None:
         progress(ended, count, f"{simulated:,.0f} s simulated")
 
-    reports = run(planning(functools.partial(one.plan, one.planner), seed), report)
+    reports = run(planning(functools.partial(method.plan, method.planner), seed), report)
     return reports, time.perf_counter() - start_time
 
 

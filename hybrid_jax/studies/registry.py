@@ -26,7 +26,7 @@ class Study(Protocol):
     """Methods that are compared by default."""
 
     def run_method(
-        self, cell: Workcell, one: Method, numbers: Sequence[int], quiet: bool = False
+        self, cell: Workcell, method: Method, numbers: Sequence[int], quiet: bool = False
     ) -> tuple[list[Any], float]:
         """Carry out the runs of one method; returns reports and the time of all [s]."""
         ...

@@ -22,13 +22,13 @@ METHODS = ("hybrid", "drl")
 
 
 def run_method(
-    cell: Workcell, one: Method, numbers: Sequence[int], quiet: bool = False
+    cell: Workcell, method: Method, numbers: Sequence[int], quiet: bool = False
 ) -> tuple[list[TaskReport], float]:
     """Carry out all runs of one method.
 
     Args:
         cell: with task data of any kind.
-        one: the method.
+        method: the method.
         numbers: seeds of the tasks.
         quiet: show no progress.
 
@@ -38,15 +38,15 @@ def run_method(
     Raises:
         InputError: the method disturbs the cell, which only studies of their own kind can.
     """
-    if one.disturbance != CALM:
-        raise InputError(f"method {one.name!r}: this study has no disturbances; leave it out")
+    if method.disturbance != CALM:
+        raise InputError(f"method {method.name!r}: this study has no disturbances; leave it out")
     return carry_out(
-        one,
+        method,
         "tasks",
         len(numbers),
         numbers[0],
         lambda plan, progress: carry_out_tasks(
-            cell, plan, numbers, config=one.execution, progress=progress
+            cell, plan, numbers, config=method.execution, progress=progress
         ),
         quiet,
     )

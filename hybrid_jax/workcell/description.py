@@ -139,6 +139,6 @@ def read_task_data(path: Path) -> TaskData | None:
     if not isinstance(kind, str) or kind not in TASK_KINDS:
         raise UnknownNameError(f"kind of task in {path.name}", kind, TASK_KINDS)
     if "controller" in tables:
-        controller, where = tables["controller"], f"{path.name} [controller]"
-        tables["controller"] = record(ControllerSpec, controller, where)
+        controller, label = tables["controller"], f"{path.name} [controller]"
+        tables["controller"] = record(ControllerSpec, controller, label)
     return kind_module(kind).read(tables, path.name)

@@ -159,33 +159,33 @@ def primitives(model, data, geom: int, frame: RigidTransform, tolerance: float) 
     ]
 
 
-def in_order(ones: list[Primitive]) -> list[Primitive]:
+def in_order(items: list[Primitive]) -> list[Primitive]:
     """The same primitives in the order of the kernels, kind by kind."""
-    return sorted(ones, key=lambda p: p.kind)
+    return sorted(items, key=lambda p: p.kind)
 
 
-def counts_of(ones: list[Primitive]) -> tuple[int, ...]:
+def counts_of(items: list[Primitive]) -> tuple[int, ...]:
     """How many primitives there are of each kind."""
-    return tuple(sum(p.kind == kind for p in ones) for kind in range(len(KINDS_OF_PRIMITIVES)))
+    return tuple(sum(p.kind == kind for p in items) for kind in range(len(KINDS_OF_PRIMITIVES)))
 
 
-def to_shapes(ones: list[Primitive], slots: tuple[int, ...] = ()) -> Shapes:
+def to_shapes(items: list[Primitive], slots: tuple[int, ...] = ()) -> Shapes:
     """Primitives as arrays `[n, ...]`, kind by kind, padded with empty slots.
 
     Args:
-        ones: the primitives, in any order.
+        items: the primitives, in any order.
         slots: least number of primitives of each kind; none if empty.
     """
-    counts = counts_of(ones)
+    counts = counts_of(items)
     slots = tuple(map(max, counts, slots or counts))
     pose, half = np.zeros((sum(slots), 7)), np.zeros((sum(slots), 3))
     radius, active = np.zeros(sum(slots)), np.zeros(sum(slots))
     pose[:, 3] = 1.0  # empty slots are not rotated: the quaternion's w comes first
     half[rows_as_boxes(slots)] = 1e-3
     for kind, span in enumerate(spans(slots)):
-        for i, p in enumerate((p for p in ones if p.kind == kind), start=span.start):
+        for i, p in enumerate((p for p in items if p.kind == kind), start=span.start):
             pose[i], half[i], radius[i], active[i] = as_row(p.pose), p.half_extents, p.radius, 1.0
     arrays = [jnp.asarray(np.asarray(a, np.float32)) for a in (pose, half, radius, active)]
     # a row that is read as a box is no ball, be it an empty slot
-    balls = not rows_as_boxes(slots) and not any(any(p.half_extents) for p in ones)
+    balls = not rows_as_boxes(slots) and not any(any(p.half_extents) for p in items)
     return Shapes(*arrays, counts=slots, all_spheres=balls)

@@ -27,31 +27,31 @@ def _fixed(value):
     return tuple(map(_fixed, value)) if isinstance(value, list) else value
 
 
-def record(kind, values: dict, where: str):
+def record(kind, values: dict, label: str):
     """A frozen record of a TOML table; lists become tuples.
 
     Args:
         kind: frozen dataclass; `Annotated[..., Within(low, high)]` fields keep a range.
         values: the table.
-        where: what messages call the table.
+        label: what messages call the table.
 
     Raises:
         WorkcellError: `values` is no table, or a field is missing, unknown, of another type or
             out of its range.
     """
     if not isinstance(values, dict):
-        raise WorkcellError(f"{where} must be a table, got {values!r}")
+        raise WorkcellError(f"{label} must be a table, got {values!r}")
     arguments = {k: _fixed(v) for k, v in values.items()}
     try:
         instance = kind(**arguments)
     except TypeError as error:
         fields = ", ".join(kind.__dataclass_fields__)
-        raise WorkcellError(f"{where}: {error}; the fields are: {fields}") from None
+        raise WorkcellError(f"{label}: {error}; the fields are: {fields}") from None
     hints = get_type_hints(kind, include_extras=True).items()
     ranges = {name: hint.__metadata__[0] for name, hint in hints if get_origin(hint) is Annotated}
     for name, annotation in get_type_hints(kind).items():
         value, limits = getattr(instance, name), ranges.get(name)
-        message = f"{where}: {name} is {shortened(repr(value))}; it must be {_in_words(annotation)}"
+        message = f"{label}: {name} is {shortened(repr(value))}; it must be {_in_words(annotation)}"
         if not _fits(value, annotation):
             raise WorkcellError(message)
         if limits and not all(limits.low <= number <= limits.high for number in _numbers(value)):
@@ -94,20 +94,20 @@ def _in_words(annotation) -> str:
     return f"a list of {len(inner)}, each item {_in_words(inner[0])}"
 
 
-def records(kind, tables: list[dict], where: str) -> tuple:
+def records(kind, tables: list[dict], label: str) -> tuple:
     """Frozen records of a list of TOML tables, one of each.
 
     Args:
         kind: frozen dataclass.
         tables: as TOML gives them.
-        where: what messages call the list.
+        label: what messages call the list.
 
     Raises:
         WorkcellError: `tables` is no list, or a table is no such record.
     """
     if not isinstance(tables, list):
-        raise WorkcellError(f"{where} must be a list of tables, got {tables!r}")
-    return tuple(record(kind, table, where) for table in tables)
+        raise WorkcellError(f"{label} must be a list of tables, got {tables!r}")
+    return tuple(record(kind, table, label) for table in tables)
 
 
 def by_name(what: str, name: str, specs):

@@ -103,7 +103,7 @@ def detach(cell: Workcell, name: str, pose: Float[Array, "7"]) -> Workcell:
 
 
 def with_opening(cell: Workcell, opening: float | Array) -> Workcell:
-    """The cell with each finger at a distance `opening` [m] from its closed position."""
+    """The cell with each finger at a distance `opening` `[]` [m] from its closed position."""
     return cell.replace(scene=cell.scene.replace(opening=jnp.asarray(opening, jnp.float32)))
 
 

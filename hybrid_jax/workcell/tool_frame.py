@@ -22,7 +22,7 @@ _FINGER = re.compile(r"finger|jaw|knuckle|thumb|gripper")
 """What the names of links and joints of a gripper contain."""
 
 
-def _pick(names: list[str], what: str) -> str | None:
+def _pick(names: list[str], kind: str) -> str | None:
     """The name that is a tool's among some names; None if there is none.
 
     Raises:
@@ -33,12 +33,12 @@ def _pick(names: list[str], what: str) -> str | None:
             return usual
     candidates = [name for name in names if _LIKE.search(name.lower())]
     if len(candidates) > 1:
-        raise WorkcellError(_ambiguous(what, candidates))
+        raise WorkcellError(_ambiguous(kind, candidates))
     return candidates[0] if candidates else None
 
 
-def _ambiguous(what: str, names: list[str]) -> str:
-    return f"several {what} could be the tool: {', '.join(names)}; name one with --tool NAME"
+def _ambiguous(kind: str, names: list[str]) -> str:
+    return f"several {kind} could be the tool: {', '.join(names)}; name one with --tool NAME"
 
 
 def usual_site(sites: list[str]) -> str:

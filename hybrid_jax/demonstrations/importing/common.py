@@ -38,14 +38,14 @@ class ImportConfig:
     """Topic of the gripper in a ROS 2 bag; where empty, the gripper is open throughout."""
 
 
-def unit_factor(kind: str, unit: str | None, known: dict, where: str) -> float:
+def unit_factor(kind: str, unit: str | None, known: dict, label: str) -> float:
     """Factor from a stated unit to the package's own (m, s, rad).
 
     Args:
         kind: of quantity, for the message: "length".
         unit: as the file states it; None or empty where it states none.
         known: factors by unit.
-        where: what the message begins with: file and column.
+        label: what the message begins with: file and column.
 
     Raises:
         DemonstrationError: no unit is stated, or an unknown one.
@@ -53,7 +53,7 @@ def unit_factor(kind: str, unit: str | None, known: dict, where: str) -> float:
     if unit not in known:
         stated = f"states the unit {unit!r}" if unit else "states no unit"
         raise DemonstrationError(
-            f"{where} {stated} of {kind}; it must be one of: {', '.join(known)}"
+            f"{label} {stated} of {kind}; it must be one of: {', '.join(known)}"
         )
     return known[unit]
 

@@ -22,17 +22,17 @@ _QUATERNION = ("qw", "qx", "qy", "qz")
 _EULER = ("roll", "pitch", "yaw")
 
 
-def _header(cells: list[str], where: str) -> dict[str, tuple[int, str | None]]:
+def _header(cells: list[str], label: str) -> dict[str, tuple[int, str | None]]:
     """Number and unit of each column, by the column's name."""
     columns = {}
     for column, cell in enumerate(cells):
         match = re.fullmatch(r"\s*(\w+)\s*(?:\[(\w*)\])?\s*", cell)
         if match is None:
-            raise DemonstrationError(f"{where}: {cell!r} is no column; write it as: name [unit]")
+            raise DemonstrationError(f"{label}: {cell!r} is no column; write it as: name [unit]")
         name = match[1].lower()
         if name in columns:
             raise DemonstrationError(
-                f"{where}: column {name!r} stands there twice, as number "
+                f"{label}: column {name!r} stands there twice, as number "
                 f"{columns[name][0] + 1} and {column + 1}: which of them counts?"
             )
         columns[name] = (column, match[2])
@@ -40,7 +40,7 @@ def _header(cells: list[str], where: str) -> dict[str, tuple[int, str | None]]:
     absent = [name for name in ("time", "x", "y", "z", *rotation) if name not in columns]
     if absent:
         raise DemonstrationError(
-            f"{where}: column {absent[0]!r} is missing; wanted: time [s], x [m], y [m], z [m], "
+            f"{label}: column {absent[0]!r} is missing; wanted: time [s], x [m], y [m], z [m], "
             "then qw, qx, qy, qz or roll [deg], pitch [deg], yaw [deg], then gripper"
         )
     return columns
@@ -84,13 +84,13 @@ def read_csv(path: Path, config: ImportConfig = ImportConfig()) -> list[Demonstr
     ]
     if not lines:
         raise DemonstrationError(f"{path} is empty; wanted a header line and rows of numbers")
-    where = f"{path}, line {lines[0][0]}"
-    header = _header(lines[0][1], where)
+    label = f"{path}, line {lines[0][0]}"
+    header = _header(lines[0][1], label)
     table = _numbers(lines[1:], len(lines[0][1]), path)
 
     def column(name: str, kind: str, known: dict) -> np.ndarray:
         index, unit = header[name]
-        return table[:, index] * unit_factor(kind, unit, known, f"{where}: column {name!r}")
+        return table[:, index] * unit_factor(kind, unit, known, f"{label}: column {name!r}")
 
     position = np.stack([column(axis, "length", LENGTHS) for axis in "xyz"], axis=1)
     if "qw" in header:

@@ -47,31 +47,31 @@ _ACCELERATOR_TABLE = 4096
 """Both passes on an accelerator: an H100 spends nine tenths of its time on passes of 64."""
 
 
-def _groups(cell: Workcell, own: RoundedBoxes, parts: str) -> list:
+def _groups(cell: Workcell, own: RoundedBoxes, against: str) -> list:
     """Obstacles and which of them count for which row: fixtures, objects, the robot itself.
 
     Fixtures stand apart from objects because they are the same for a whole batch. `own` are the
-    robot's primitives `ContactPairs.cover`; `parts` is `all`, `world` or `own`.
+    robot's primitives `ContactPairs.cover`; `against` is `all`, `world` or `own`.
     """
     pairs, scene, fixtures = cell.pairs, cell.scene, cell.fixtures
     if pairs.world.shape[0] != 1:
         raise InputError("a batch of cells must share its contact pairs: vmap over scenes only")
     payload, count = pairs.payload[0], fixtures.count
     groups = []
-    if parts != "own":
+    if against != "own":
         object_support = jnp.ones((scene.objects.count, 1))
         fixed, movable = pairs.world[0, :, :count], pairs.world[0, :, count:]
         groups = [
             (world_boxes(fixtures), Pairing(fixed, payload, scene.support_on.T)),
             (world_boxes(scene.objects), Pairing(movable, payload, object_support)),
         ]
-    if parts != "world":
+    if against != "world":
         own_support = jnp.ones((own.radius.shape[0], 1))
         groups.append((own, Pairing(pairs.own[0], payload, own_support)))
     return [(blocks, pairing) for blocks, pairing in groups if blocks.radius.shape[0]]
 
 
-def _kernel(cell: Workcell, q: Array, *, parts: str, measured: tuple[int, int] | None) -> Nearest:
+def _kernel(cell: Workcell, q: Array, *, against: str, measured: tuple[int, int] | None) -> Nearest:
     """One pass over a batch: every pair, or the most promising ones by their bounds.
 
     Leaves of `cell` and `q` are `[1 or b, ...]`; `measured` is as `_MEASURED`, None for every pair.
@@ -82,7 +82,7 @@ def _kernel(cell: Workcell, q: Array, *, parts: str, measured: tuple[int, int] |
     batch = q.shape[0]
     zero = jnp.zeros(batch, jnp.int32)
     nearest = Nearest(jnp.full(batch, FAR), zero, zero, jnp.full(batch, FAR))
-    groups = _groups(cell, cover_blocks, parts)
+    groups = _groups(cell, cover_blocks, against)
     if not groups:
         return nearest
     if local_shapes(cell).all_spheres:
@@ -122,24 +122,24 @@ def _if_needed(
     )
 
 
-def _closest(cell: Workcell, q: Array, *, parts: str) -> Nearest:
+def _closest(cell: Workcell, q: Array, *, against: str) -> Nearest:
     """Exact nearest pairs `[b]` of a batch; leaves of `cell` and `q` are `[1 or b, ...]`."""
     q = jnp.broadcast_to(q, (batch_size((cell, q)), q.shape[1]))
-    measure_all = functools.partial(_kernel, parts=parts, measured=None)
+    measure_all = functools.partial(_kernel, against=against, measured=None)
     table_size = by_backend(_TABLE, _ACCELERATOR_TABLE)
     if q.shape[0] <= table_size:
         return measure_all(cell, q)
-    nearest = in_chunks(functools.partial(_kernel, parts=parts, measured=_MEASURED), cell, q)
+    nearest = in_chunks(functools.partial(_kernel, against=against, measured=_MEASURED), cell, q)
     return redo(measure_all, (cell, q), nearest, ~nearest.certain, table_size)
 
 
 def _near(cell: Workcell, q: Array, enough: Array) -> Array:
     """Clearances `[b]` [m] of a batch, `enough` where they are larger; leaves `[1 or b, ...]`."""
     q = jnp.broadcast_to(q, (batch_size((cell, q, enough)), q.shape[1]))
-    measure_all = functools.partial(_kernel, parts="all", measured=None)
+    measure_all = functools.partial(_kernel, against="all", measured=None)
     if q.shape[0] <= by_backend(_TABLE, _ACCELERATOR_TABLE):
         return jnp.minimum(measure_all(cell, q).distance, enough)
-    measure_promising = functools.partial(_kernel, parts="all", measured=_MEASURED_NEAR)
+    measure_promising = functools.partial(_kernel, against="all", measured=_MEASURED_NEAR)
     nearest = in_chunks(measure_promising, cell, q)
     # an unmeasured pair matters only where it may be nearer than what was measured and `enough`
     pending = nearest.rest < jnp.minimum(nearest.distance, enough)
@@ -149,7 +149,8 @@ def _near(cell: Workcell, q: Array, enough: Array) -> Array:
 
 _NEAR = batched(_near)
 _CLOSEST = {
-    parts: batched(functools.partial(_closest, parts=parts)) for parts in ("all", "world", "own")
+    against: batched(functools.partial(_closest, against=against))
+    for against in ("all", "world", "own")
 }
 
 
@@ -203,16 +204,16 @@ def pair_distance(
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _smallest(parts: str, cell: Workcell, q: Array) -> Array:
-    return _CLOSEST[parts](cell, q).distance
+def _smallest(against: str, cell: Workcell, q: Array) -> Array:
+    return _CLOSEST[against](cell, q).distance
 
 
 @_smallest.defjvp
-def _slope(parts, primals, tangents):
+def _slope(against, primals, tangents):
     """Derivative of the smallest distance: that of the distance of the nearest pair."""
-    nearest = _CLOSEST[parts](*primals)
+    nearest = _CLOSEST[against](*primals)
     distance_of_pair = functools.partial(pair_distance, row=nearest.row, column=nearest.column)
-    if parts == "own":
+    if against == "own":
         column_offset = world_count(primals[0])
         distance_of_pair = functools.partial(
             pair_distance, row=nearest.row, column=nearest.column + column_offset
