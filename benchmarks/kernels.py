@@ -2,13 +2,11 @@
 """Kernels on the handling cell, beside C MuJoCo, MJX and PyBullet in the same run."""
 
 import functools
-import os
 import subprocess
 import sys
 import tempfile
 import time
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 
 import jax
@@ -16,9 +14,9 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import tyro
-from packaging.version import Version
 
 from benchmarks import rivals
+from benchmarks.mjx_rival import CELL, MJX_FLAGS, mjx_in_its_process
 from benchmarks.report import metric, race, rate, write
 from hybrid_jax.ik import solve_ik
 from hybrid_jax.kernels.batching import CPU_CHUNK, by_backend
@@ -27,12 +25,8 @@ from hybrid_jax.kernels.collision.clearance import clearance
 from hybrid_jax.kernels.kinematics import tool_pose
 from hybrid_jax.kernels.rays import sense
 from hybrid_jax.runtime.devices import Spread, use_all_cores
-from hybrid_jax.runtime.quiet import import_mjx
 from hybrid_jax.workcell.allowed_collisions import forbidden_contacts
 from hybrid_jax.workcell.load import load_workcell
-
-CELL = "gen3_handling"
-ROOT = Path(__file__).resolve().parents[1]
 
 
 @dataclass(frozen=True)
@@ -144,48 +138,6 @@ def sign_agreement(cell, clear, count: int) -> tuple[float, float, int]:
     wrong = [i for i in differ if not (ours[i] < 0 and crossed(engine, q[i]))]
     total = len(judged)
     return 1 - len(differ) / total, 1 - len(wrong) / total, len(differ)
-
-
-def mjx_rate(cell, q: np.ndarray) -> float:
-    """Configurations per second of MJX kinematics and collision."""
-    import_mjx()
-    from mujoco import mjx
-
-    model = rivals.welded_model(CELL)
-    put, start = mjx.put_model(model), mjx.make_data(model)
-    address = jnp.array(rivals.Engine(cell).address)
-
-    def touch(q):
-        data = start.replace(qpos=start.qpos.at[address].set(q))
-        data = mjx.com_pos(put, mjx.kinematics(put, data))
-        return jnp.min(mjx.collision(put, data)._impl.contact.dist)
-
-    run = jax.jit(jax.vmap(touch))
-    return rate(lambda: run(q), len(q))[0]
-
-
-MJX_FLAGS = (
-    "--xla_cpu_use_fusion_emitters=false" if Version(version("jaxlib")) < Version("0.11") else ""
-)
-"""Without it older XLA computes shared values of MJX's loops again and again."""
-
-
-def mjx_in_its_process(count: int, flags: str) -> float:
-    """`mjx_rate` under options of XLA, which a process takes once."""
-    code = (
-        "from benchmarks.kernels import CELL, configurations, mjx_rate; "
-        "from hybrid_jax.workcell.load import load_workcell; "
-        f"cell = load_workcell(CELL); print(mjx_rate(cell, configurations(cell, {count})))"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        check=True,
-        cwd=ROOT,
-        env={**os.environ, "XLA_FLAGS": flags},
-    )
-    return float(done.stdout.split()[-1])
 
 
 def contest(cell, q: np.ndarray, ours, swept: int) -> dict[str, float]:

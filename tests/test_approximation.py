@@ -9,10 +9,12 @@ import mujoco
 import numpy as np
 import oracles
 import pytest
+from scipy.spatial.transform import Rotation
 
 from hybrid_jax.errors import WorkcellError
 from hybrid_jax.kernels.collision.clearance import clearance
 from hybrid_jax.workcell import approximation
+from hybrid_jax.workcell.assets import robots_folder
 from hybrid_jax.workcell.load import load_workcell
 
 ARM = """<mujoco>{asset}<worldbody>{world}<body name="arm" pos="0 0 .5">
@@ -96,7 +98,6 @@ def test_boxes_of_a_mesh_contain_it_and_keep_the_tolerance():
 
 
 def test_a_box_as_a_mesh_is_one_box():
-    from scipy.spatial.transform import Rotation
 
     turned = Rotation.from_euler("xyz", [0.3, 0.5, 0.7]).apply(
         oracles.box_corners(np.array([0.1, 0.05, 0.02]))
@@ -151,3 +152,30 @@ def test_clearance_is_at_most_the_engines_and_less_by_no_more_than_stated(
             assert wanted - excess - 2e-4 <= gap <= wanted + 2e-4
             apart += 1
     assert apart > 50
+
+
+@pytest.mark.slow
+def test_the_second_robots_links_are_covered(shared):
+    """Each by 99.5 %, and its kinematics agree; the checker fails otherwise only if strict."""
+    import subprocess
+    import sys
+
+    mapping = shared / "robots" / "examples" / "fanuc_lrmate200id_map.json"
+    checker = shared / "robots" / "check_collision_model.py"
+    name = "fanuc_lrmate200id_brush"
+    xml = robots_folder() / name / f"{name}.xml"
+    done = subprocess.run(
+        [
+            sys.executable,
+            str(checker),
+            str(xml),
+            "fanuc_lrmate200id",
+            str(mapping),
+            "--samples",
+            "5000",
+            "--strict",
+        ],
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stdout[-1500:] + done.stderr[-500:]

@@ -6,9 +6,9 @@ import pickle
 
 import numpy as np
 import pytest
+from recordings import broken, recording
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from hybrid_jax import demos
 from hybrid_jax.demonstrations import filtering, splitting
 from hybrid_jax.demonstrations.demonstration import (
     Demonstration,
@@ -17,29 +17,10 @@ from hybrid_jax.demonstrations.demonstration import (
     load_demonstrations,
     save_demonstration,
 )
-from hybrid_jax.demonstrations.importing import ImportConfig, read_recording
+from hybrid_jax.demonstrations.importing import read_recording
 from hybrid_jax.errors import DemonstrationError, RunFolderError
 from hybrid_jax.skills.library import build_library
 from hybrid_jax.workcell.assets import demonstrations_folder
-
-
-def recording(name="lift", count=60, gripper=0.0) -> Demonstration:
-    """A smooth motion up, forward and about the vertical."""
-    s = np.linspace(0, 1, count)
-    position = np.stack([0.4 + 0.1 * s, 0.02 * np.sin(3 * s), 0.1 + 0.3 * s**2], axis=1)
-    turn = Rotation.from_rotvec(0.8 * s[:, None] * [0, 0, 1]) * Rotation.from_euler("x", np.pi)
-    poses = np.concatenate([position, turn.as_quat(scalar_first=True)], axis=1)
-    return Demonstration(name, 2.0 * s, poses, np.full(count, gripper), robot="test arm")
-
-
-def broken(**changes) -> Demonstration:
-    """The recording with single values replaced: field=(index, value)."""
-    demo = recording()
-    for field, (index, value) in changes.items():
-        array = np.array(getattr(demo, field))
-        array[index] = value
-        demo = dataclasses.replace(demo, **{field: array})
-    return demo
 
 
 @pytest.mark.parametrize(
@@ -87,75 +68,6 @@ def test_a_damaged_file_costs_that_file_only(tmp_path):
         load_demonstrations(tmp_path / "empty")
 
 
-def write_csv(path, demo, unit="mm", scale=1000.0, head=""):
-    rows = np.column_stack([demo.times, demo.poses[:, :3] * scale, demo.poses[:, 3:], demo.gripper])
-    names = f"time [s], x [{unit}], y [{unit}], z [{unit}], qw, qx, qy, qz, gripper"
-    lines = [",".join(f"{v:.9f}" for v in row) for row in rows]
-    path.write_text("\n".join([f"{head}{names}", *lines]) + "\n")
-
-
-def test_csv_states_its_units(tmp_path):
-    path = tmp_path / "up.csv"
-    write_csv(path, recording(), head="# robot: other arm\n# note: by hand\n")
-    (demo,) = read_recording(path)
-    assert (demo.name, demo.robot, demo.note) == ("up", "other arm", "by hand")
-    np.testing.assert_allclose(demo.poses, recording().poses, atol=1e-6)
-    text = path.read_text()
-    path.write_text(text.replace("x [mm]", "x"))
-    with pytest.raises(DemonstrationError, match="column 'x' states no unit of length"):
-        read_recording(path)
-    path.write_text(text.replace("qz,", ""))
-    with pytest.raises(DemonstrationError, match="'qz' is missing"):
-        read_recording(path)
-
-
-def test_csv_faults_are_named_by_their_line(tmp_path):
-    path = tmp_path / "up.csv"
-    write_csv(path, broken(poses=((17, 1), np.nan)), head="# robot: other arm\n")
-    with pytest.raises(DemonstrationError, match=r"line 20: y is nan"):  # a comment, the header
-        read_recording(path)
-    lines = path.read_text().splitlines()
-    path.write_text("\n".join([*lines[:10], "", "# a pause", *lines[10:]]))
-    with pytest.raises(DemonstrationError, match=r"line 22: y is nan"):
-        read_recording(path)
-    write_csv(path, recording())
-    lines = path.read_text().splitlines()
-    lines[8] = lines[8].replace("0.", "zero.", 1)
-    path.write_text("\n".join(lines))
-    with pytest.raises(DemonstrationError, match="line 9: could not convert"):
-        read_recording(path)
-
-
-def test_csv_reads_roll_pitch_yaw(tmp_path):
-    demo, path = recording(), tmp_path / "wpr.csv"
-    turn = Rotation.from_quat(demo.poses[:, 3:], scalar_first=True)
-    angles = turn.as_euler("xyz", degrees=True)
-    rows = np.column_stack([demo.times * 1000, demo.poses[:, :3], angles])
-    header = "time [ms], x [m], y [m], z [m], roll [deg], pitch [deg], yaw [deg]"
-    np.savetxt(path, rows, delimiter=",", header=header, comments="")
-    (again,) = read_recording(path)
-    found = Rotation.from_quat(again.poses[:, 3:], scalar_first=True)
-    assert (found * turn.inv()).magnitude().max() < 1e-6
-    np.testing.assert_allclose(again.times, demo.times, atol=1e-9)
-
-
-def test_npz_reads_several_demonstrations_and_never_objects(tmp_path):
-    demo, path = recording(), tmp_path / "many.npz"
-    poses = np.stack([demo.poses[:, [0, 1, 2, 4, 5, 6, 3]]] * 2) * ([100] * 3 + [1] * 4)
-    np.savez(path, poses=poses, rate=30.0, length_unit="cm", quaternion="xyzw")
-    first, second = read_recording(path)
-    assert (first.name, second.name) == ("many_1", "many_2")
-    np.testing.assert_allclose(first.poses, demo.poses, atol=1e-9)
-    assert second.times[1] == pytest.approx(1 / 30)
-    np.savez(path, poses=poses, rate=30.0, quaternion="xyzw")
-    with pytest.raises(DemonstrationError, match="states no unit of length"):
-        read_recording(path)
-    assert len(read_recording(path, ImportConfig(length_unit="cm"))) == 2
-    np.savez(path, poses=np.array([{"a": 1}], dtype=object))
-    with pytest.raises(DemonstrationError, match="never loaded"):
-        read_recording(path)
-
-
 def test_what_is_no_number_is_refused_by_a_sentence(tmp_path):
     path = tmp_path / "odd.npz"
     poses = np.stack([recording().poses] * 2)
@@ -187,57 +99,6 @@ def test_unknown_and_absent_files_are_named(tmp_path):
     (tmp_path / "demo.txt").write_text("")
     with pytest.raises(DemonstrationError, match=r"unknown format '\.txt'; known: \.csv"):
         read_recording(tmp_path / "demo.txt")
-
-
-def write_bag(path, demo, frame="base", odd=None):
-    """A ROS 2 bag with stamped poses and a gripper that closes half way."""
-    from rosbags.rosbag2 import StoragePlugin, Writer
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.LATEST)
-    kinds = store.types
-    stamped, boolean = kinds["geometry_msgs/msg/PoseStamped"], kinds["std_msgs/msg/Bool"]
-    header, time = kinds["std_msgs/msg/Header"], kinds["builtin_interfaces/msg/Time"]
-    pose, point = kinds["geometry_msgs/msg/Pose"], kinds["geometry_msgs/msg/Point"]
-    quaternion = kinds["geometry_msgs/msg/Quaternion"]
-    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        tool = writer.add_connection("/tool", stamped.__msgtype__, typestore=store)
-        grip = writer.add_connection("/grip", boolean.__msgtype__, typestore=store)
-        for i, (t, row) in enumerate(zip(demo.times, demo.poses, strict=True)):
-            stamp = 10**9 + int(t * 1e9)
-            head = header(time(stamp // 10**9, stamp % 10**9), "camera" if i == odd else frame)
-            w, x, y, z = row[3:]
-            message = stamped(head, pose(point(*row[:3]), quaternion(x, y, z, w)))
-            writer.write(tool, stamp, store.serialize_cdr(message, tool.msgtype))
-            if i in (0, 30):
-                state = store.serialize_cdr(boolean(i == 30), grip.msgtype)
-                writer.write(grip, stamp, state)
-
-
-def test_ros2_bags_are_read(tmp_path):
-    pytest.importorskip("rosbags")
-    demo = recording()
-    write_bag(tmp_path / "bag", demo)
-    (again,) = read_recording(tmp_path / "bag", ImportConfig(gripper_topic="/grip"))
-    np.testing.assert_allclose(again.poses, demo.poses, atol=1e-9)
-    np.testing.assert_allclose(again.times, demo.times, atol=1e-8)
-    assert again.gripper.tolist() == [0.0] * 30 + [1.0] * 30
-    file = next((tmp_path / "bag").glob("*.mcap"))
-    assert len(read_recording(file)[0].times) == 60
-    file.with_name("torn.mcap").write_bytes(file.read_bytes()[:200])
-    (tmp_path / "torn").mkdir()
-    file.with_name("torn.mcap").rename(tmp_path / "torn" / "torn.mcap")
-    with pytest.raises(DemonstrationError, match="cannot be read as a ROS 2 bag"):
-        read_recording(tmp_path / "torn")
-    with pytest.raises(DemonstrationError, match="topic '/arm' .* /tool"):
-        read_recording(tmp_path / "bag", ImportConfig(pose_topic="/arm"))
-    write_bag(tmp_path / "base_link", demo, frame="base_link")
-    with pytest.raises(DemonstrationError, match="frame 'base_link', wanted 'base'"):
-        read_recording(tmp_path / "base_link")
-    assert read_recording(tmp_path / "base_link", ImportConfig(frame="base_link"))
-    write_bag(tmp_path / "odd", demo, odd=12)
-    with pytest.raises(DemonstrationError, match="message 12: frame 'camera'"):
-        read_recording(tmp_path / "odd")
 
 
 def test_cleaning_removes_tremor_and_sign_flips_and_keeps_the_ends():
@@ -296,20 +157,6 @@ def test_a_change_of_screw_ends_a_segment():
     assert splitting.screw_cuts(first) == []
     demo = Demonstration("two", np.arange(79) * 0.03, poses, np.zeros(79))
     assert [part.name for part in splitting.at_screws(demo)] == ["two.1", "two.2"]
-
-
-def test_commands_import_list_split_and_draw(tmp_path, capsys):
-    write_csv(tmp_path / "up.csv", recording(), head="# note: by hand\n")
-    library = tmp_path / "library"
-    assert demos.import_file(tmp_path / "up.csv", library) == 0
-    assert demos.list_library(library) == 0
-    assert "by hand" in capsys.readouterr().out
-    assert demos.draw_library(tmp_path / "pictures", library) == 0
-    assert (tmp_path / "pictures" / "up.png").stat().st_size > 5000
-    with pytest.raises(DemonstrationError, match="is there already"):
-        demos.import_file(tmp_path / "up.csv", library)
-    assert demos.split_file(library / "up.npz") == 0
-    assert [path.name for path in library.iterdir()] == ["up.npz"], "no event, nothing to split"
 
 
 def test_twenty_skills_are_shipped():

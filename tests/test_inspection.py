@@ -2,9 +2,7 @@
 """The inspection cell: its geometry, tasks without a gripper, their plans, and their study."""
 
 import functools
-import re
 from dataclasses import replace
-from pathlib import Path
 
 import jax
 import mujoco
@@ -33,7 +31,6 @@ from hybrid_jax.tasks.inspection import brush_errors, on_face, random_start
 from hybrid_jax.tasks.registry import make_task, random_task
 from hybrid_jax.tasks.scene_sampling import sample_scene
 from hybrid_jax.types import Status, Trajectory
-from hybrid_jax.workcell.assets import robots_folder, workcell_names
 from hybrid_jax.workcell.load import load_workcell
 from hybrid_jax.workcell.poses import as_row, pose_of
 
@@ -56,49 +53,6 @@ def reports(fpi, inspector):
     """Two trials, carried out in physics."""
     trials = [Trial("left_2", 3), Trial("right_4", 8)]
     return inspect_parts(fpi, planning(functools.partial(plan_batch, inspector), 0), trials)
-
-
-def test_package_names_neither_cell_nor_robot():
-    """Nothing in the package is made for one of them: what differs stands in `robots`."""
-    folders = {path.name for path in robots_folder().iterdir() if path.is_dir()}
-    words = set(workcell_names()) | {"gen3", "2f85", "robotiq", "kinova", "fanuc", "lrmate", "fpi"}
-    words |= folders - {"workcells", "demonstrations", "inspection_brush"}
-    pattern = re.compile("|".join(map(re.escape, words)), re.IGNORECASE)
-    package = Path(hybrid_jax.__file__).parent
-    found = [
-        f"{path.name}:{number}: {line.strip()}"
-        for path in package.rglob("*.py")
-        for number, line in enumerate(path.read_text().splitlines(), 1)
-        if pattern.search(line.replace("fanuc_tp", ""))  # a format has its vendor's name
-    ]
-    assert found == []
-
-
-@pytest.mark.slow
-def test_the_second_robots_links_are_covered(shared):
-    """Each by 99.5 %, and its kinematics agree; the checker fails otherwise only if strict."""
-    import subprocess
-    import sys
-
-    mapping = shared / "robots" / "examples" / "fanuc_lrmate200id_map.json"
-    checker = shared / "robots" / "check_collision_model.py"
-    name = "fanuc_lrmate200id_brush"
-    xml = robots_folder() / name / f"{name}.xml"
-    done = subprocess.run(
-        [
-            sys.executable,
-            str(checker),
-            str(xml),
-            "fanuc_lrmate200id",
-            str(mapping),
-            "--samples",
-            "5000",
-            "--strict",
-        ],
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0, done.stdout[-1500:] + done.stderr[-500:]
 
 
 def test_home_is_free_and_nothing_can_be_held(fpi):

@@ -5,7 +5,6 @@ RRT-Connect bridges, the shortest path chooses skills, Viterbi switches: no trai
 test everything around the agents.
 """
 
-import json
 import re
 from dataclasses import replace
 
@@ -17,7 +16,6 @@ import pytest
 
 from hybrid_jax.baselines.ablations import joint_agent_only, lfd_only, plan_directly
 from hybrid_jax.envs.segments import single_segment
-from hybrid_jax.errors import TaskError, UnknownNameError
 from hybrid_jax.export import to_joint_trajectory
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.collision.clearance import clearance
@@ -25,22 +23,15 @@ from hybrid_jax.kernels.collision.motion_validation import path_clearance
 from hybrid_jax.planner import smoothing, trajectory_check
 from hybrid_jax.planner.bridging import bridge_gaps, rrt_bridger
 from hybrid_jax.planner.phase_scenes import (
-    CARRYING,
-    REACHING,
-    TRANSFERRING,
     inside,
-    phase_scene,
-    segment_kinds,
     task_scenes,
 )
 from hybrid_jax.planner.pipeline import plan_batch, plan_motion, prepare
 from hybrid_jax.planner.task_validation import admit
-from hybrid_jax.planner.trajectory_generation import find_faults
 from hybrid_jax.skills.library import without
-from hybrid_jax.tasks.registry import make_task, random_task, read_task
+from hybrid_jax.tasks.registry import make_task, random_task
 from hybrid_jax.tasks.scene_sampling import sample_scene
 from hybrid_jax.types import Source, Status
-from hybrid_jax.workcell.poses import pose_row
 
 
 @pytest.fixture(scope="module")
@@ -235,69 +226,6 @@ def test_the_joint_agent_alone_goes_from_key_pose_to_key_pose(cell, planner, pla
     np.testing.assert_allclose(result.phases[2].positions[-1], cell.home, atol=1e-3)
 
 
-def test_the_final_check_sees_a_wall(cell, planner, reaching, planned):
-    task, result = planned
-    checker, scene = trajectory_check.ConfigurationChecker(cell), phase_scene(cell, task, REACHING)
-    assert trajectory_check.collision_fault(checker, scene, result.phases[0].positions) is None
-    q = np.array(result.phases[0].positions)
-    reach = np.clip(q + np.linspace(0, 1, len(q))[:, None] * [-1.0, 0, 0, 0, 0, 0, 0], -6, 6)
-    assert re.search(
-        "touches|too close to", trajectory_check.collision_fault(checker, scene, reach)
-    )
-    bad = replace(result.phases[0], positions=reach)
-    faults = find_faults(reaching, checker, task, 0, bad)
-    assert any("clearance falls to -" in f for f in faults), "the kernels see it as well"
-    assert any(re.search("touches|too close to", fault) for fault in faults)
-    assert any("key pose 1 is missed" in fault for fault in faults)
-
-
-def test_the_final_check_carries_the_object(cell, planned):
-    """Held low over the table, the object touches it; with the table as support it may."""
-    task, result = planned
-    scene = phase_scene(cell, task, CARRYING)
-    checker, first = (
-        trajectory_check.ConfigurationChecker(cell),
-        result.phases[1].positions[:1].repeat(2, axis=0),
-    )
-    assert trajectory_check.collision_fault(checker, scene, first) is None
-    bare = replace(scene, support=())
-    assert "table" in trajectory_check.collision_fault(checker, bare, first)
-
-
-def test_a_held_object_may_touch_its_support_only_where_it_is_lifted(cell, planned):
-    task, result = planned
-    q, scenes = result.phases[0].positions[-1], task_scenes(cell, task)
-    checker, gaps, found = trajectory_check.ConfigurationChecker(cell), [], []
-    for segment, kind in ((1, CARRYING), (2, TRANSFERRING)):
-        assert segment_kinds(task)[segment] == kind
-        gaps.append(float(clearance(inside(cell, scenes, segment), jnp.asarray(q, jnp.float32))))
-        checker.enter(phase_scene(cell, task, kind))
-        found.append(checker.collision(q))
-    assert gaps[0] > 0.0005 and found[0] is None
-    assert gaps[1] < 0.0005 and "table" in found[1]
-
-
-def test_the_final_check_sees_broken_limits_and_missed_poses(cell, planned):
-    task, result = planned
-    trajectory = result.phases[0]
-    fast = replace(trajectory, velocities=trajectory.velocities * 9)
-    assert any("velocity limit of joint_" in f for f in trajectory_check.limit_faults(cell, fast))
-    rushed = replace(trajectory, times=trajectory.times / 9)
-    faults = trajectory_check.limit_faults(cell, rushed)
-    assert any("velocity" in f for f in faults) and any("acceleration" in f for f in faults)
-    jumped = np.array(trajectory.positions)
-    jumped[40:, 3] += 0.05
-    faults = trajectory_check.limit_faults(cell, replace(trajectory, positions=jumped))
-    assert any("joint_4" in f for f in faults)
-    still = replace(trajectory, times=np.zeros_like(trajectory.times))
-    assert any("do not grow" in f for f in trajectory_check.limit_faults(cell, still))
-    checker = trajectory_check.ConfigurationChecker(cell)
-    end, pose = trajectory.positions[-1], pose_row(task.key_poses[1])
-    assert trajectory_check.pose_fault(checker, end, pose, "it") is None
-    off = pose + [0, 0, 0.01, 0, 0, 0, 0]
-    assert "it is missed by 10." in trajectory_check.pose_fault(checker, end, off, "it")
-
-
 def test_what_was_demonstrated_is_hardly_smoothed(reaching, planned):
     """A corner of the skill's hardly moves, the same corner of a detour does."""
     q = planned[1].phases[0].positions
@@ -351,23 +279,6 @@ def test_export_has_the_layout_of_a_joint_trajectory(cell, planned):
     assert [g["command"] for g in out["gripper"]] == ["open", "close", "open", "open"]
 
 
-def test_a_key_pose_on_the_way_must_be_passed(cell, planned):
-    task, plan = planned
-    checker = trajectory_check.ConfigurationChecker(cell)
-    path, lifted = plan.phases[1].positions, pose_row(task.key_poses[2])
-    tools = np.array([checker.position(q) for q in trajectory_check.checked_points(path, 0.02)])
-    sides = lifted + 0.05 * np.vstack([np.eye(3, 7), -np.eye(3, 7)])
-    away = [np.linalg.norm(tools - side[:3], axis=1).min() for side in sides]
-    beside, turned = sides[np.argmax(away)], lifted.copy()  # the path passes one of them
-    turned[3:] = dq.mul(
-        dq.from_parts(np.zeros(3), lifted[3:]),
-        dq.from_parts(np.zeros(3), np.array([0.98, 0, 0, 0.199])),
-    )[:4]
-    poses = {"it": lifted, "one beside": beside, "one turned": turned}
-    faults = trajectory_check.passing_faults(checker, path, poses)
-    assert [fault.split(" is missed by")[0] for fault in faults] == ["one beside", "one turned"]
-
-
 def test_more_skill_plans_never_leave_more_infeasible_way_points(cell, planner):
     checker, fewer = trajectory_check.ConfigurationChecker(cell), 0
     for number in range(50, 56):
@@ -379,20 +290,3 @@ def test_more_skill_plans_never_leave_more_infeasible_way_points(cell, planner):
         assert costs[1] <= costs[0]
         fewer += costs[1] < costs[0]
     assert fewer, "one of the tasks has a better plan than the cheapest"
-
-
-def test_task_files_are_checked(cell, tmp_path):
-    path = tmp_path / "task.json"
-    for text, message in (
-        ("{", "task.json"),
-        ("{}", "field 'object'"),
-        ('{"object": "hammer", "object_poses": [[1]]}', "must be 5 finite rows"),
-    ):
-        path.write_text(text)
-        with pytest.raises(TaskError, match=message):
-            read_task(cell, path)
-    path.write_text('{"object": "spanner"}')
-    with pytest.raises(UnknownNameError, match="hammer"):
-        read_task(cell, path)
-    path.write_text(json.dumps({"object": "bolt_1", "scene_seed": 3}))
-    assert read_task(cell, path).object_name == "bolt_1"

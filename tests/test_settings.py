@@ -29,7 +29,10 @@ def test_settings_are_read_back_as_they_were(preset):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"joint": {"training": {"steps": 1.5}}}, "joint.training.steps is 1.5; it must be int"),
+        (
+            {"joint": {"training": {"steps": 1.5}}},
+            "joint.training.steps is 1.5; it must be a whole number",
+        ),
         ({"joint": {"training": {"steps": True}}}, "joint.training.steps is True"),
         ({"map": {"tilts": [0.0, "a"]}}, "map.tilts is"),
         ({"map": {"lower": [0.0, 1.0]}}, "map.lower is"),
@@ -39,6 +42,8 @@ def test_settings_are_read_back_as_they_were(preset):
         ({"joint": {"training": {"kind": "Td3Config"}}}, "it must be one of: PpoConfig, SacConfig"),
         ({"joint": {"training": {"kind": "SacConfig"}}}, "joint.training.batch is missing"),
         ({"planner": 3}, "planner is 3"),
+        ({"map": {"spacing": float("nan")}}, "map.spacing is nan; it must be a finite number"),
+        ({"joint": {"rollouts": 8}}, "joint.rollouts is 8; it must be a list, each item a whole"),
     ],
 )
 def test_a_wrong_setting_is_named(change, message):

@@ -2,12 +2,14 @@
 """The public names resolve, and imports go one way."""
 
 import ast
+import re
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
 import hybrid_jax
+from hybrid_jax.workcell.assets import robots_folder, workcell_names
 
 PACKAGE = Path(hybrid_jax.__file__).parent
 LAYERS = (
@@ -96,3 +98,19 @@ def test_what_must_not_know_mujoco_does_not(folder):
 
 def test_layers_are_named_once():
     assert all(not a & b for a, b in pairwise(LAYERS)) and len(LEVEL) == sum(map(len, LAYERS))
+
+
+def test_package_names_neither_cell_nor_robot():
+    """Nothing in the package is made for one of them: what differs stands in `robots`."""
+    folders = {path.name for path in robots_folder().iterdir() if path.is_dir()}
+    words = set(workcell_names()) | {"gen3", "2f85", "robotiq", "kinova", "fanuc", "lrmate", "fpi"}
+    words |= folders - {"workcells", "demonstrations", "inspection_brush"}
+    pattern = re.compile("|".join(map(re.escape, words)), re.IGNORECASE)
+    package = Path(hybrid_jax.__file__).parent
+    found = [
+        f"{path.name}:{number}: {line.strip()}"
+        for path in package.rglob("*.py")
+        for number, line in enumerate(path.read_text().splitlines(), 1)
+        if pattern.search(line.replace("fanuc_tp", ""))  # a format has its vendor's name
+    ]
+    assert found == []

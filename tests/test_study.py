@@ -2,7 +2,6 @@
 """The study: disturbances, what runs add up to, and the film."""
 
 import functools
-import json
 from dataclasses import replace
 
 import jax
@@ -25,7 +24,6 @@ from hybrid_jax.runs.presets import PRESETS
 from hybrid_jax.runs.run_folder import Run
 from hybrid_jax.studies import handling as study
 from hybrid_jax.studies import handling_pictures, inspection, methods, single_tasks
-from hybrid_jax.studies.journal import Journal
 from hybrid_jax.tasks.scene_sampling import sample_scene
 from hybrid_jax.tasks.task import yaw_of
 from hybrid_jax.types import Source, Status
@@ -226,48 +224,6 @@ def test_the_straight_line_bridges_where_it_is_free(cell, planner):
     assert ways[0] is not None and len(ways[0]) == 2 and ways[1] is None
 
 
-def test_a_study_that_was_stopped_goes_on_with_what_it_lacks(cell, tmp_path, monkeypatch):
-    calls = []
-
-    def runs(_, one, numbers, quiet=False):
-        calls.append((one.name, list(numbers)))
-        if len(calls) == 3:
-            raise KeyboardInterrupt
-        return [run_of(number, [""]) for number in numbers], 1.0
-
-    monkeypatch.setattr(study, "run_method", runs)
-    monkeypatch.setattr(evaluate, "BLOCK", 2)
-    some = [methods.Method(name, None, None) for name in ("hybrid", "lfd")]
-    run, out = Run(tmp_path, cell, "smoke", 0), tmp_path / "study.json"
-    seeds = range(7, 10)
-    with pytest.raises(KeyboardInterrupt):
-        evaluate.run_study(study, run, some, seeds, out, True)
-    with pytest.raises(RunFolderError, match="other"):
-        evaluate.run_study(study, run, some, seeds, out, True, Run(tmp_path / "other", cell, "", 0))
-    evaluate.run_study(study, run, some, seeds, out, True)
-    blocks = [[7, 8], [9]]
-    again = [(name, block) for name in ("hybrid", "lfd") for block in blocks]
-    assert calls == [*again[:2], ("lfd", [7, 8]), *again[2:]]
-    found = json.loads(out.read_text())["runs"]
-    assert [(row["method"], row["seed"]) for row in found] == [
-        (name, seed) for name in ("hybrid", "lfd") for seed in seeds
-    ]
-    assert not out.with_suffix(".progress").exists()
-
-
-def test_what_a_kill_tore_is_made_again_and_kept(tmp_path):
-    path, about = tmp_path / "a.progress", {"runs": 4}
-    journal = Journal(path, about)
-    journal.add("hybrid", [1, 2], [{"seed": 1}], 1.0)
-    journal.close(finished=False)
-    path.write_text(path.read_text() + '{"method": "hybrid", "numbers": [3')
-    for missing in ([3, 4], []):
-        again = Journal(path, about)
-        assert again.missing("hybrid", [1, 2, 3, 4]) == missing
-        again.add("hybrid", missing, [{"seed": 3}], 1.0)
-        again.close(finished=False)
-
-
 def test_a_study_states_the_seeds_that_it_draws(cell):
     fpi = load_workcell("fpi")
     assert study.drawn(cell, 7, 3) == range(7, 10)
@@ -288,16 +244,6 @@ def test_a_study_without_methods_is_refused(cell, tmp_path, monkeypatch):
     monkeypatch.setattr(run_folder, "open_run", lambda _: Run(tmp_path, cell, "smoke", 0))
     with pytest.raises(InputError, match="nothing is left to compare: ompl"):
         evaluate.main(tmp_path, tmp_path / "a.json", methods=("ompl",))
-
-
-def test_two_studies_do_not_share_a_file(tmp_path):
-    first = Journal(tmp_path / "a.progress", {"runs": 3})
-    with pytest.raises(RunFolderError, match="another study is being written"):
-        Journal(tmp_path / "a.progress", {"runs": 3})
-    first.close(finished=False)
-    with pytest.raises(RunFolderError, match="belongs to a study of"):
-        Journal(tmp_path / "a.progress", {"runs": 4})
-    Journal(tmp_path / "a.progress", {"runs": 3}).close(finished=True)
 
 
 def test_every_method_of_the_command_exists():

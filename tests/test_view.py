@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The view page: its parts by themselves, and the page in a real headless Chromium."""
 
-import json
 import threading
 import urllib.request
 
@@ -17,7 +16,7 @@ from hybrid_jax.feasibility.evaluation import Reason
 from hybrid_jax.kernels.collision.clearance import clearance
 from hybrid_jax.planner.phase_scenes import in_scene, phase_scene, segment_kinds
 from hybrid_jax.runs.run_folder import open_run
-from hybrid_jax.tasks.registry import random_task, read_task, task_values, with_key_poses
+from hybrid_jax.tasks.registry import read_task
 from hybrid_jax.tasks.task import as_rows
 from hybrid_jax.types import Status
 from hybrid_jax.web.server import is_own, open_server
@@ -69,39 +68,6 @@ def test_the_cloud_shows_what_is_chosen():
     assert len(some) == int((reason[2] == kind).any(axis=-1).sum())
     one = map_cloud.voxel_shares(fmap, 3)
     np.testing.assert_array_equal(one.argmax(axis=-1), reason[..., 3])
-
-
-def test_dragged_tasks_survive_their_file(cell, tmp_path):
-    task = random_task(cell, 4)
-    rows = np.array(task_values(task)["key_poses"])
-    rows[0, :2] += 0.02
-    moved = with_key_poses(cell, task, rows)
-    index = cell.source.layout.object_names.index(task.object_name)
-    shift = moved.object_poses[index] - task.object_poses[index]
-    np.testing.assert_allclose(shift[:3], [0.02, 0.02, 0], atol=1e-5)  # it lies where it is grasped
-    path = tmp_path / "task.json"
-    path.write_text(json.dumps(task_values(moved)))
-    again = read_task(cell, path)
-    np.testing.assert_allclose(again.key_poses[1:-1], moved.key_poses[1:-1], atol=2e-6)
-    np.testing.assert_allclose(again.object_poses, moved.object_poses, atol=2e-6)
-
-
-@pytest.mark.parametrize(
-    "values, message",
-    [
-        ({"object": "block_1", "key_poses": [[0] * 7]}, "key_poses must be 4 finite rows"),
-        ({"object": "block_1", "key_poses": [[0, 0, 0, 2, 0, 0, 0]] * 4}, "row 0 has not length 1"),
-        ({"object": "block_1", "key_poses": "up"}, "key_poses must be 4 finite rows"),
-        ({"object": "block_1", "scene_seed": -1}, "scene_seed must be a whole number"),
-        ({"object": "block_1", "colour": "red"}, "unknown field 'colour'"),
-        ({"object": 7}, "needs a field 'object'"),
-    ],
-)
-def test_bad_task_files_are_refused_by_name(cell, tmp_path, values, message):
-    path = tmp_path / "task.json"
-    path.write_text(json.dumps(values))
-    with pytest.raises(TaskError, match=message):
-        read_task(cell, path)
 
 
 @pytest.mark.parametrize(

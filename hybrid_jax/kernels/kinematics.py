@@ -139,7 +139,7 @@ def frame_jacobian(chain: KinematicChain, frames: Array, point: Array) -> Float[
         `[6, joint]` linear rows [m/rad, or 1 for a slide], then angular rows, in world axes.
     """
     axes = dq.quat_rotate(frames[:, 3:], chain.axis)
-    tangents = jnp.cross(axes, point - frames[:, :3])
+    tangents = jnp.cross(axes, point[None] - frames[:, :3])
     hinge = chain.hinge[:, None]
     linear = hinge * tangents + (1 - hinge) * axes
     return jnp.concatenate([linear.T, (hinge * axes).T])

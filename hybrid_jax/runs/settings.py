@@ -4,13 +4,12 @@
 Where a field may hold records of several classes, `kind` names the class.
 """
 
-import types
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 from hybrid_jax.errors import InputError, shortened
-from hybrid_jax.workcell.records import LARGEST
+from hybrid_jax.runtime.typed_values import as_tuples, choices, fits, in_words
 
 T = TypeVar("T")
 KIND = "kind"
@@ -96,24 +95,30 @@ def _same_record(values, change) -> bool:
 
 def _records(hint) -> list[type]:
     """Dataclasses among the types that a field may hold."""
-    return [choice for choice in _choices(hint) if is_dataclass(choice)]
-
-
-def _choices(hint) -> tuple:
-    return get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
+    return [choice for choice in choices(hint) if is_dataclass(choice)]
 
 
 def _field(hint, value, label: str):
     """A value converted to the type of its field."""
-    choices, records = _choices(hint), _records(hint)
+    records = _records(hint)
     if records and isinstance(value, dict):
         return _record(records, value, label)
-    for choice in choices:
-        parsed, fits = _plain(choice, value)
-        if fits:
-            return parsed
-    expected = getattr(hint, "__name__", str(hint)) if len(choices) == 1 else str(hint)
-    raise InputError(f"{label} is {shortened(repr(value))}; it must be {expected}")
+    value = as_tuples(value)
+    plain_hints = [choice for choice in choices(hint) if choice not in records]
+    if not any(fits(value, choice) for choice in plain_hints):
+        raise InputError(f"{label} is {shortened(repr(value))}; it must be {in_words(hint)}")
+    return _as_floats(value, hint)
+
+
+def _as_floats(value, hint):
+    """A value that fits, with floats where whole numbers stand for them."""
+    if hint is float:
+        return float(value)
+    inner = get_args(hint)
+    if get_origin(hint) is tuple:
+        hints = inner[:1] * len(value) if inner[-1] is Ellipsis else inner
+        return tuple(map(_as_floats, value, hints))
+    return value
 
 
 def _record(records: list[type], value: dict, label: str):
@@ -125,28 +130,3 @@ def _record(records: list[type], value: dict, label: str):
         raise InputError(f"{label}.{KIND} is {value.get(KIND)!r}; it must be one of: {known}")
     inner_values = {name: inner for name, inner in value.items() if name != KIND}
     return from_values(named[value[KIND]], inner_values, label)
-
-
-def _plain(hint, value) -> tuple[Any, bool]:
-    """A value that is no record, converted to a type, and whether it fits that type."""
-    # bool is a subclass of int: types are compared exactly
-    if get_origin(hint) is Literal:
-        return value, value in get_args(hint)
-    if get_origin(hint) is tuple:
-        return _row(get_args(hint), value)
-    if hint is float and isinstance(value, int) and not isinstance(value, bool):
-        # a whole number may be too large for any float
-        return (float(value), True) if abs(value) < LARGEST else (value, False)
-    if hint in (int, float, str, bool):
-        return value, type(value) is hint
-    return value, hint is type(None) and value is None
-
-
-def _row(inner: tuple, value) -> tuple[Any, bool]:
-    if not isinstance(value, list):
-        return value, False
-    hints = inner[:1] * len(value) if inner[-1] is Ellipsis else inner
-    if len(hints) != len(value):
-        return value, False
-    items = [_plain(hint, item) for hint, item in zip(hints, value, strict=True)]
-    return tuple(item for item, _ in items), all(fits for _, fits in items)

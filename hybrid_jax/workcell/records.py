@@ -4,13 +4,11 @@
 Each field must have the type and the range of its annotation; a message names the one that has not.
 """
 
-import math
+from dataclasses import fields
 from typing import Annotated, NamedTuple, get_args, get_origin, get_type_hints
 
 from hybrid_jax.errors import UnknownNameError, WorkcellError, shortened
-
-LARGEST = 1e300
-"""Largest number that is accepted: beyond it nothing can be computed."""
+from hybrid_jax.runtime.typed_values import as_tuples, fits, in_words
 
 
 class Within(NamedTuple):
@@ -20,11 +18,6 @@ class Within(NamedTuple):
     """Smallest number that is allowed."""
     high: float
     """Largest number that is allowed."""
-
-
-def _fixed(value):
-    """A value of a TOML file with its lists, at any depth, as tuples."""
-    return tuple(map(_fixed, value)) if isinstance(value, list) else value
 
 
 def record(kind, values: dict, label: str):
@@ -41,18 +34,19 @@ def record(kind, values: dict, label: str):
     """
     if not isinstance(values, dict):
         raise WorkcellError(f"{label} must be a table, got {values!r}")
-    arguments = {k: _fixed(v) for k, v in values.items()}
+    arguments = {k: as_tuples(v) for k, v in values.items()}
     try:
         instance = kind(**arguments)
     except TypeError as error:
-        fields = ", ".join(kind.__dataclass_fields__)
-        raise WorkcellError(f"{label}: {error}; the fields are: {fields}") from None
-    hints = get_type_hints(kind, include_extras=True).items()
-    ranges = {name: hint.__metadata__[0] for name, hint in hints if get_origin(hint) is Annotated}
-    for name, annotation in get_type_hints(kind).items():
-        value, limits = getattr(instance, name), ranges.get(name)
-        message = f"{label}: {name} is {shortened(repr(value))}; it must be {_in_words(annotation)}"
-        if not _fits(value, annotation):
+        names = ", ".join(field.name for field in fields(kind))
+        raise WorkcellError(f"{label}: {error}; the fields are: {names}") from None
+    hints = get_type_hints(kind, include_extras=True)
+    for name in (field.name for field in fields(kind)):
+        value, annotation, limits = getattr(instance, name), hints[name], None
+        if get_origin(annotation) is Annotated:
+            annotation, limits = get_args(annotation)
+        message = f"{label}: {name} is {shortened(repr(value))}; it must be {in_words(annotation)}"
+        if not fits(value, annotation):
             raise WorkcellError(message)
         if limits and not all(limits.low <= number <= limits.high for number in _numbers(value)):
             raise WorkcellError(f"{message} from {limits.low:g} to {limits.high:g}")
@@ -62,36 +56,6 @@ def record(kind, values: dict, label: str):
 def _numbers(value) -> list[float]:
     """All numbers of a value, which may be a tuple of tuples."""
     return [n for v in value for n in _numbers(v)] if isinstance(value, tuple) else [value]
-
-
-def _fits(value, annotation) -> bool:
-    """Is a value of a TOML file what a field is annotated with?"""
-    inner = get_args(annotation)
-    if get_origin(annotation) is tuple:
-        if not isinstance(value, tuple):
-            return False
-        if inner[-1] is Ellipsis:
-            return all(_fits(v, inner[0]) for v in value)
-        return len(value) == len(inner) and all(map(_fits, value, inner))
-    if inner:  # a union
-        return any(_fits(value, member) for member in inner)
-    if annotation is float:
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        # an integer may be too large for any float
-        return number and abs(value) <= LARGEST and math.isfinite(value)
-    # `bool` is a subclass of `int`, yet true is no number
-    return isinstance(value, annotation) and not (annotation is int and isinstance(value, bool))
-
-
-def _in_words(annotation) -> str:
-    """What a field must be, for a message."""
-    words = {float: "a finite number", str: "text", int: "a whole number"}
-    if get_origin(annotation) is not tuple:
-        return words.get(annotation, str(annotation))
-    inner = get_args(annotation)
-    if inner[-1] is Ellipsis:
-        return f"a list, each item {_in_words(inner[0])}"
-    return f"a list of {len(inner)}, each item {_in_words(inner[0])}"
 
 
 def records(kind, tables: list[dict], label: str) -> tuple:

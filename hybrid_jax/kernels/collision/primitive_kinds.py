@@ -33,7 +33,7 @@ class PrimitiveKind(NamedTuple):
 
 def _axis_ends(pose, half_extents, radius):
     """Ends `[n, 2, 3]` of the axes of capsules [m], and their radii `[n]` [m]."""
-    axis = dq.quat_rotate(pose[:, 3:], half_extents * jnp.array([0.0, 0.0, 1.0]))
+    axis = dq.quat_rotate(pose[:, 3:], half_extents * jnp.array([[0.0, 0.0, 1.0]]))
     return jnp.stack([pose[:, :3] - axis, pose[:, :3] + axis], axis=1), radius
 
 

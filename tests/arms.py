@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: MIT
+"""Small arms as URDF and MJCF text, for tests of loading and checking."""
+
+from hybrid_jax.workcell.diagnosis import WRONG, diagnose
+from hybrid_jax.workcell.load import load_workcell
+
+INERTIA = '<inertial><mass value="1"/><inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/>'
+
+
+def link(name, inside=""):
+    return f'<link name="{name}">{INERTIA}</inertial>{inside}</link>'
+
+
+def joint(name, parent, child, kind="revolute", limit='lower="-2" upper="2"', extra=""):
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz=".3 0 0"/><axis xyz="0 0 1"/><limit {limit} effort="12" velocity="1.5"/>'
+        f"{extra}</joint>"
+    )
+
+
+def load(tmp_path, text, name="arm.urdf", **options):
+    (tmp_path / name).write_text(text)
+    return load_workcell(tmp_path / name, **options)
+
+
+CELL = """<mujoco><compiler angle="radian"/><size nuser_jnt="2"/><worldbody>
+<body name="link"><joint name="a" axis="0 0 1" range="-1.5 1.5" user="2 5"/>
+<geom name="arm" type="capsule" fromto="0 0 0 .4 0 0" size=".03"/><site name="tool" pos=".4 0 0"/>
+</body>{more}</worldbody></mujoco>"""
+
+
+def findings(tmp_path, text, level=WRONG):
+    (tmp_path / "cell.xml").write_text(text)
+    return " | ".join(f.text for f in diagnose(tmp_path / "cell.xml") if f.level == level)
+
+
+WALL = '<geom name="wall" type="box" size=".02 .2 .2" pos="0 .3 0"/>'
