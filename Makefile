@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 TRAIN_ARGS ?=
 
-.PHONY: train test slow tiny check docs figures dist format clean
+.PHONY: train test slow tiny shapes check docs figures dist format clean
 
 $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -22,6 +22,12 @@ slow: $(VENV)/.installed
 
 tiny: $(VENV)/.installed
 	XLA_FLAGS= $(BIN)/python -m pytest -n 2 -m tiny tests/test_figures.py
+
+# shapes and types of the kernels' arguments and results, checked while their tests run
+SHAPES := hybrid_jax.kernels,hybrid_jax.skills,hybrid_jax.ik,beartype.beartype
+SHAPE_TESTS := dualquat kinematics distance collision rays edges_and_inputs ik_and_map skills timing
+shapes: $(VENV)/.installed
+	$(BIN)/python -m pytest --jaxtyping-packages=$(SHAPES) $(SHAPE_TESTS:%=tests/test_%.py)
 
 check: $(VENV)/.installed
 	$(BIN)/ruff check .

@@ -55,30 +55,42 @@ def main(
         settings: options of the command line that are settings of the preset.
     """
     # JAX is imported only now: --help and a mistyped name answer at once
-    from hybrid_jax.runs import own_settings, run_folder
-    from hybrid_jax.runs.presets import find_preset
+    from hybrid_jax.runs import run_folder
     from hybrid_jax.runtime.devices import use_all_cores
 
     for stage in stages:
         if stage not in run_folder.STAGES:
             raise UnknownNameError("stage", stage, run_folder.STAGES)
     if show_settings:
-        effective = own_settings.changed(find_preset(preset or "default"), config, settings)
-        answer(own_settings.as_file(effective), own_settings.as_values(effective), json)
-        return 0
+        return print_settings(preset, config, settings, json)
     use_all_cores()
     request = RunRequest(workcell, preset, seed, out, skills, tool, package_path)
     run = (resumed_run if resume else new_run)(request, config, settings)
     if not quiet:
         remark(f"run folder: {run.folder}")
     if tensorboard:
-        from hybrid_jax.reports.tensorboard import board
-
-        run = replace(run, listener=board(run.path("tensorboard")))
+        run = with_board(run)
     selected = stages or [s for s in run_folder.STAGES if not (resume and run.finished(s))]
     rows = run_stages(run, [s for s in run_folder.STAGES if s in selected], quiet)
     answer(summary(rows), {"run": str(run.folder), "stages": rows}, json)
     return STOPPED if rows and rows[-1].get("stopped") else 0
+
+
+def print_settings(preset: str, config: Path | None, settings: tuple[str, ...], json: bool) -> int:
+    """Print all settings that a run would have; returns the exit code."""
+    from hybrid_jax.runs import own_settings
+    from hybrid_jax.runs.presets import find_preset
+
+    effective = own_settings.changed(find_preset(preset or "default"), config, settings)
+    answer(own_settings.as_file(effective), own_settings.as_values(effective), json)
+    return 0
+
+
+def with_board(run):
+    """The run with a listener that writes its metrics for TensorBoard."""
+    from hybrid_jax.reports.tensorboard import board
+
+    return replace(run, listener=board(run.path("tensorboard")))
 
 
 class RunRequest(NamedTuple):

@@ -18,8 +18,9 @@ from hybrid_jax.demonstrations.demonstration import load_demonstration
 from hybrid_jax.demonstrations.importing import read_recording
 from hybrid_jax.errors import HybridJaxError
 from hybrid_jax.export.fanuc_tp_reader import read_tp_program
-from hybrid_jax.feasibility.building import build_feasibility_map, load_map, save_map
+from hybrid_jax.feasibility.building import build_feasibility_map
 from hybrid_jax.feasibility.grid import MapConfig
+from hybrid_jax.feasibility.map_files import load_map, save_map
 from hybrid_jax.runs.load_planner import load_policy
 from hybrid_jax.runs.presets import PRESETS, SMOKE, Preset
 from hybrid_jax.runs.run_folder import FORMAT, Run, read_config

@@ -16,15 +16,9 @@ from hybrid_jax.agents import joint, networks
 from hybrid_jax.contracts import PlanResult
 from hybrid_jax.errors import InputError, UnknownNameError, WorkcellError
 from hybrid_jax.export import export_policy, to_joint_trajectory, write_plan
-from hybrid_jax.export.fanuc_tp import (
-    LEAST,
-    TOLERANCE,
-    controller_values,
-    program_name,
-    sparse,
-    to_tp_program,
-)
+from hybrid_jax.export.fanuc_tp import controller_values, program_name, to_tp_program
 from hybrid_jax.export.fanuc_tp_reader import read_tp_program
+from hybrid_jax.export.waypoint_reduction import LEAST, TOLERANCE, reduced
 from hybrid_jax.runs.run_folder import create_run
 from hybrid_jax.tasks.registry import random_task
 from hybrid_jax.types import Status, Trajectory
@@ -104,17 +98,17 @@ def tool(cell, q):
     return data.site_xpos[layout.tool_site].copy()
 
 
-def test_sparse_keeps_both_ends_and_the_tolerance():
+def test_reduced_way_points_keep_both_ends_and_the_tolerance():
     stamps = np.arange(2001)
     q = np.stack([np.sin(2e-3 * stamps), 0.5e-3 * stamps], axis=1)
     levers = np.zeros((len(q), 3, 2))
     levers[:, 0, 0] = levers[:, 1, 1] = 0.5
-    kept = sparse(stamps, q, levers)
+    kept = reduced(stamps, q, levers)
     assert kept[0] == 0 and kept[-1] == 2000 and len(kept) < 200
     line = np.stack([np.interp(stamps, stamps[kept], c) for c in q[kept].T], axis=1)
     assert np.linalg.norm(0.5 * (line - q), axis=1).max() <= TOLERANCE + 1e-12
     for length in range(2 * LEAST, 400):  # whatever is left at the end
-        moves = np.diff(stamps[sparse(stamps[:length], q[:length], levers[:length])])
+        moves = np.diff(stamps[reduced(stamps[:length], q[:length], levers[:length])])
         assert moves.min() >= LEAST
 
 

@@ -9,7 +9,7 @@ import oracles
 import pytest
 
 from hybrid_jax.errors import RunFolderError
-from hybrid_jax.feasibility import building, lookup
+from hybrid_jax.feasibility import building, lookup, map_files
 from hybrid_jax.feasibility.evaluation import Reason
 from hybrid_jax.feasibility.grid import MapConfig, poses_at
 from hybrid_jax.ik import solve_ik
@@ -103,17 +103,17 @@ def test_query_and_nearest_feasible(fmap):
 
 def test_a_map_of_another_cell_is_refused(cell, fmap, tmp_path):
     path = tmp_path / "map.npz"
-    building.save_map(path, cell, fmap)
-    again = building.load_map(path, cell)
+    map_files.save_map(path, cell, fmap)
+    again = map_files.load_map(path, cell)
     np.testing.assert_array_equal(again.reason, fmap.reason)
     from hybrid_jax.runtime import artifacts
 
     artifacts.save(path, "feasibility map", "0" * 64, fmap)
     with pytest.raises(RunFolderError, match="another work cell"):
-        building.load_map(path, cell)
+        map_files.load_map(path, cell)
     path.write_bytes(b"nonsense")
     with pytest.raises(RunFolderError, match="damaged"):
-        building.load_map(path, cell)
+        map_files.load_map(path, cell)
 
 
 def test_an_interrupted_build_goes_on(cell, fmap, tmp_path):

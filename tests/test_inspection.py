@@ -18,8 +18,9 @@ from hybrid_jax.execution.inspection import InspectionReport, Trial, inspect_par
 from hybrid_jax.execution.plant import Touch
 from hybrid_jax.execution.scheduler import planning
 from hybrid_jax.export import to_joint_trajectory
-from hybrid_jax.export.fanuc_tp import TOLERANCE, to_tp_program
+from hybrid_jax.export.fanuc_tp import to_tp_program
 from hybrid_jax.export.fanuc_tp_reader import read_tp_program
+from hybrid_jax.export.waypoint_reduction import TOLERANCE
 from hybrid_jax.planner.pipeline import plan_batch
 from hybrid_jax.runs.load_planner import untrained_planner
 from hybrid_jax.runs.presets import DEFAULT

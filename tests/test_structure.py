@@ -114,3 +114,43 @@ def test_package_names_neither_cell_nor_robot():
         if pattern.search(line.replace("fanuc_tp", ""))  # a format has its vendor's name
     ]
     assert found == []
+
+
+def defined(body: list[ast.stmt]) -> dict[str, list[ast.stmt]]:
+    """Names that statements define, each with the body of the class that it is."""
+    names = {}
+    for node in body:
+        if isinstance(node, ast.ClassDef | ast.FunctionDef):
+            names[node.name] = node.body if isinstance(node, ast.ClassDef) else []
+        elif isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = getattr(node, "targets", None) or [node.target]
+            found = [n for target in targets for n in ast.walk(target) if isinstance(n, ast.Name)]
+            names |= {n.id: [] for n in found}
+    return names
+
+
+def resolves(name: str) -> bool:
+    """Is there a folder, module, function, class or field of this dotted name in the package?"""
+    place, parts = PACKAGE, name.split(".")
+    while parts and (place / parts[0]).is_dir():
+        place /= parts.pop(0)
+    file = place / f"{parts[0]}.py" if parts else place
+    if not parts or not file.is_file():
+        return not parts
+    body = ast.parse(file.read_text()).body
+    for part in parts[1:]:
+        names = defined(body)
+        if part not in names:
+            return False
+        body = names[part]
+    return True
+
+
+@pytest.mark.parametrize("page", sorted(PACKAGE.parent.glob("docs/*.md")), ids=lambda p: p.stem)
+def test_names_in_the_documents_exist(page):
+    names = re.findall(r"`(?:hybrid_jax\.)?([a-z_]+(?:\.[A-Za-z_0-9]+)+)(?=[`(])", page.read_text())
+    files = {"py", "md", "json", "jsonl", "npz", "toml", "xml", "csv", "mp4", "png", "gif", "txt"}
+    ours = {n for n in names if n.split(".")[0] in LEVEL and n.split(".")[-1] not in files}
+    results = "".join(path.read_text() for path in PACKAGE.parent.glob("docs/figures/*.json"))
+    figures = {name for name in ours if f'"{name}"' in results}
+    assert not {name for name in ours - figures if not resolves(name)}

@@ -106,9 +106,9 @@ class Sorting:
 
     def _next_grasp(self, name: str) -> bool:
         """Take the next grasp of an object; False, and the first grasp again, after the last."""
-        self.grasps[name] += 1
-        available = self.grasps[name] < len(self.plant.spec.object(name).grasps)
-        self.grasps[name] *= available
+        following = self.grasps[name] + 1
+        available = following < len(self.plant.spec.object(name).grasps)
+        self.grasps[name] = following if available else 0
         return available
 
     def _one(self, report: ObjectReport) -> Steps:

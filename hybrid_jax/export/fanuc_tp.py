@@ -7,28 +7,18 @@ the joints evenly, as assumed here, but it rounds corners (CNT) in its own way.
 
 import itertools
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass
 
-import mujoco
 import numpy as np
-from scipy.interpolate import BPoly
 
 from hybrid_jax.errors import WorkcellError
 from hybrid_jax.export.fanuc_tp_reader import read_tp_program
+from hybrid_jax.export.waypoint_reduction import RestToRest, reduced, rest_to_rest, tool_levers
 from hybrid_jax.planner.timeline import GRIPPER_PAUSE
 from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.description import ControllerSpec
-from hybrid_jax.workcell.layout import home_qpos
 
-TOLERANCE = 5e-5
-"""Largest deviation of the tool from the trajectory at any time, with even joint motion [m]."""
-JOINT_TOLERANCE = 1e-3
-"""Largest deviation of a joint from the trajectory at any time [rad or m]."""
 DIGITS = 3
 """Decimals of a position [degree or mm]."""
-LEAST = 8
-"""Duration of the shortest move: the interpolation period of common controllers [ms]."""
 _HEAD = """/PROG  {name}
 /ATTR
 OWNER = MNEDITOR;
@@ -101,81 +91,6 @@ def controller_values(
     return np.round(values, DIGITS)
 
 
-@dataclass(frozen=True)
-class _Phase:
-    """One motion from rest to rest."""
-
-    command: str
-    """Command to the gripper before the motion; "" for none."""
-    stamps: np.ndarray
-    """`[point]` time from the phase's beginning, whole [ms] as a program can state them."""
-    q: np.ndarray
-    """`[point, joint]` configurations at these times [rad or m]."""
-
-
-def _phases(trajectory: dict) -> Iterator[_Phase]:
-    """Phases sampled every millisecond; between its points the trajectory is a quintic."""
-    points, commands = (
-        trajectory["points"],
-        {g["point"]: g["command"] for g in trajectory["gripper"]},
-    )
-    for phase in trajectory["phases"]:
-        first, last = phase["first"], phase["last"]
-        times = np.array([p["time_from_start"] for p in points[first : last + 1]])
-        kinds = ("positions", "velocities", "accelerations")
-        rows = np.array([[p[k] for k in kinds] for p in points[first : last + 1]])
-        knots, duration = times - times[0], times[-1] - times[0]
-        stamps = np.arange(int(np.ceil(1e3 * duration - 1e-6)) + 1)
-        q = BPoly.from_derivatives(knots, rows)(np.minimum(stamps / 1e3, duration))
-        # a command stands at the last point before its phase; for the first phase, at point 0
-        yield _Phase(commands.get(first - 1 if first else 0, ""), stamps, q)
-
-
-def _levers(cell: Workcell, q: np.ndarray) -> np.ndarray:
-    """`[point, 3, joint]` position Jacobian of the tool at `[point, joint]` [m/rad or 1]."""
-    model, layout = cell.model, cell.source.layout
-    data, jacobians = mujoco.MjData(model), np.empty((len(q), 3, len(layout.joints)))
-    data.qpos[:], jacobian = home_qpos(model), np.empty((3, model.nv))
-    for row, values in zip(jacobians, q, strict=True):
-        data.qpos[list(layout.qpos)] = values
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        mujoco.mj_jacSite(model, data, jacobian, None, layout.tool_site)
-        row[:] = jacobian[:, list(layout.dofs)]
-    return jacobians
-
-
-def sparse(stamps: np.ndarray, q: np.ndarray, levers: np.ndarray) -> list[int]:
-    """Points between which even joint motion keeps to a trajectory, within the tolerances.
-
-    Args:
-        stamps: `[point]` times [ms].
-        q: `[point, joint]` configurations [rad or m].
-        levers: `[point, 3, joint]` position Jacobians of the tool [m/rad or 1].
-
-    Returns:
-        Indices of these points, the first and the last among them.
-    """
-    indices, last = [0], len(stamps) - 1
-    while indices[-1] < last:
-        first, end = indices[-1], min(last, indices[-1] + LEAST)
-        while end < last and _even(stamps, q, levers, first, end + 1):
-            end += 1
-        indices.append(end)
-    # the last move may be too short: it takes a part of the move before it, which is even anyway
-    if len(indices) > 2 and last - indices[-2] < LEAST <= (last - indices[-3]) / 2:
-        indices[-2] = last - LEAST
-    return indices
-
-
-def _even(stamps, q: np.ndarray, levers: np.ndarray, first: int, last: int) -> bool:
-    window = slice(first, last + 1)
-    share = (stamps[window] - stamps[first]) / (stamps[last] - stamps[first])
-    deviation = q[first] + share[:, None] * (q[last] - q[first]) - q[window]
-    tool = np.linalg.norm(np.einsum("pij,pj->pi", levers[window], deviation), axis=1)
-    return bool(np.abs(deviation).max() <= JOINT_TOLERANCE and tool.max() <= TOLERANCE)
-
-
 def to_tp_program(cell: Workcell, trajectory: dict, stem: str) -> str:
     """A trajectory as a program, read back and compared before it is returned.
 
@@ -203,7 +118,7 @@ def to_tp_program(cell: Workcell, trajectory: dict, stem: str) -> str:
             "[controller], the instructions of its gripper"
         )
     lines, positions = ["UFRAME_NUM=0", "UTOOL_NUM=1"], []
-    for phase in _phases(trajectory):
+    for phase in rest_to_rest(trajectory):
         lines += _instruction(spec, phase.command) + _moves(cell, phase, positions)
     if trajectory["gripper"]:
         lines += _instruction(spec, trajectory["gripper"][-1]["command"])
@@ -218,13 +133,13 @@ def _instruction(spec: ControllerSpec, command: str) -> list[str]:
     return [getattr(spec, command), f"WAIT    {GRIPPER_PAUSE:.2f}(sec)"] if command else []
 
 
-def _moves(cell: Workcell, phase: _Phase, kept: list[np.ndarray]) -> list[str]:
+def _moves(cell: Workcell, phase: RestToRest, kept: list[np.ndarray]) -> list[str]:
     """Instructions of one phase; their positions are added to `kept`.
 
     After a gripper command the first move leads to where the arm stands already; the program's
     first move leads to the start.
     """
-    points = sparse(phase.stamps, phase.q, _levers(cell, phase.q))
+    points = reduced(phase.stamps, phase.q, tool_levers(cell, phase.q))
     lines, first = [], not kept
     if first or phase.command:
         kept.append(phase.q[0])

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Write one plan to a file; the file's ending selects the format."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 from hybrid_jax.contracts import PlanResult
@@ -11,8 +12,13 @@ from hybrid_jax.runtime.artifacts import write_text
 from hybrid_jax.tasks.task import Task
 from hybrid_jax.types import Workcell
 
-ENDINGS = (".json", ".csv", ".ls")
-"""Endings of files: JointTrajectory as JSON or CSV, TP program."""
+WRITERS: dict[str, Callable[[Workcell, dict, str], str]] = {
+    ".csv": lambda cell, values, name: to_csv(values),
+    ".ls": to_tp_program,
+}
+"""Text of a plan by the ending of its file, from cell, JointTrajectory and name of the file."""
+ENDINGS = (".json", *WRITERS)
+"""Endings of files; JSON is written without a plan too."""
 
 
 def refuse_ending(path: Path) -> None:
@@ -45,5 +51,4 @@ def write_plan(path: Path | str, cell: Workcell, task: Task, plan: PlanResult) -
     if ending == ".json":
         write_json(path, values)
     elif values["points"]:
-        text = to_csv(values) if ending == ".csv" else to_tp_program(cell, values, path.stem)
-        write_text(path, text)
+        write_text(path, WRITERS[ending](cell, values, path.stem))

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from hybrid_jax.errors import MapError, RunFolderError
+from hybrid_jax.errors import MapError
 from hybrid_jax.feasibility.evaluation import Judge, Level, Reason
 from hybrid_jax.feasibility.flooding import Block, Field, Flood
 from hybrid_jax.feasibility.grid import MapConfig, nearest_cell, orientations
@@ -24,9 +24,7 @@ from hybrid_jax.types import Record, Workcell, pytree
 _SCALE_SAMPLES = 65536
 _PIECE = 262_144
 """Random configurations drawn at a time as first seeds."""
-_KIND = "feasibility map"
 _TINY = 1e-12
-_ON_GRID = ("feasibility", "reason", "manipulability", "clearance")
 _BLOCK = "block_{:05d}.npz"
 
 
@@ -260,47 +258,3 @@ def _assembled(config: MapConfig, grids: dict[str, np.ndarray], scale: float) ->
         manipulability_scale=jnp.float32(scale),
         **{k: jnp.asarray(a) for k, a in grids.items()},
     )
-
-
-def save_map(path: Path | str, cell: Workcell, fmap: FeasibilityMap) -> None:
-    """Write a map with its cell's hash.
-
-    Args:
-        path: file to write, ending in `.npz`.
-        cell: that the map is of.
-        fmap: a built map, its arrays `[x, y, z, orientation]`.
-
-    Raises:
-        OSError: it cannot be written; what was there before stays.
-    """
-    artifacts.save(Path(path), _KIND, cell.source.digest, fmap)
-
-
-@single_precision
-def load_map(path: Path | str, cell: Workcell) -> FeasibilityMap:
-    """Read a map.
-
-    Args:
-        path: of a file that `save_map` wrote.
-        cell: that the map must be of.
-
-    Returns:
-        The map, its arrays `[x, y, z, orientation]`.
-
-    Raises:
-        RunFolderError: the file is missing, damaged, or the map of another cell.
-    """
-    _, state = artifacts.load(Path(path), _KIND, cell.source.digest)
-    try:
-        fmap = FeasibilityMap(**{k: jnp.asarray(v) for k, v in state.items()})
-        grid = (*fmap.feasibility.shape[:3], len(fmap.orientations))
-        shapes = [getattr(fmap, name).shape for name in _ON_GRID]
-        sound = all(shape == grid for shape in shapes) and fmap.lower.shape == (3,)
-        sound &= fmap.configuration.shape == (*grid, len(cell.joint_names))
-        sound &= fmap.orientations.shape == (grid[3], 4) and fmap.manipulability_scale.shape == ()
-        sound &= fmap.spacing.shape == () and bool(fmap.spacing > 0)
-    except (TypeError, ValueError, AttributeError, IndexError) as error:
-        raise RunFolderError(f"{path} is no complete map: {error}") from None
-    if not sound:
-        raise RunFolderError(f"{path} is no map of one grid: its arrays do not fit together")
-    return fmap

@@ -12,8 +12,14 @@ from jaxtyping import Float
 from hybrid_jax.planner.trajectory_check import PhaseScene
 from hybrid_jax.tasks.task import Task
 from hybrid_jax.types import Scene, Workcell
-from hybrid_jax.workcell import scene as scenes
 from hybrid_jax.workcell.layout import home_qpos
+from hybrid_jax.workcell.scene import (
+    attach,
+    object_index,
+    place_objects,
+    with_opening,
+    with_support,
+)
 
 REACHING, CARRYING, LEAVING, TRANSFERRING = range(4)
 """Kinds of segments: before the object is held; while it is lifted or put down, and may touch its
@@ -54,11 +60,11 @@ def kind_scenes(
     Returns:
         Scenes with a leading axis `[kind]`.
     """
-    cell_before = scenes.with_opening(scenes.place_objects(cell, poses), openings[0])
-    held_cell = scenes.with_opening(scenes.attach(cell_before, name, in_tool), openings[1])
-    final_poses = poses.at[scenes.object_index(cell, name)].set(put)
-    cell_after = scenes.with_opening(scenes.place_objects(cell, final_poses), openings[0])
-    on_support, lifted = scenes.with_support(held_cell, support), scenes.with_support(held_cell, ())
+    cell_before = with_opening(place_objects(cell, poses), openings[0])
+    held_cell = with_opening(attach(cell_before, name, in_tool), openings[1])
+    final_poses = poses.at[object_index(cell, name)].set(put)
+    cell_after = with_opening(place_objects(cell, final_poses), openings[0])
+    on_support, lifted = with_support(held_cell, support), with_support(held_cell, ())
     # the kinds of segments are indices into this order
     return stack_scenes([c.scene for c in (cell_before, on_support, cell_after, lifted)])
 
@@ -77,7 +83,7 @@ def _opening(cell: Workcell, task: Task) -> float:
 @jax.jit
 def _resting_scene(cell: Workcell, poses: Float[Array, "object 7"], opening: float) -> Scene:
     """The scene with objects at `poses` `[object, 7]` while nothing is held."""
-    return scenes.with_opening(scenes.place_objects(cell, poses), opening).scene
+    return with_opening(place_objects(cell, poses), opening).scene
 
 
 def task_scenes(cell: Workcell, task: Task) -> Scene:
@@ -137,12 +143,12 @@ def home_scene(cell: Workcell) -> PhaseScene:
 def in_scene(cell: Workcell, scene: PhaseScene) -> Workcell:
     """The cell for the kernels, in a scene that is described for the final check."""
     if cell.source.layout.object_names:
-        cell = scenes.place_objects(cell, jnp.asarray(scene.poses, jnp.float32))
-    cell = scenes.with_opening(cell, scene.opening)
+        cell = place_objects(cell, jnp.asarray(scene.poses, jnp.float32))
+    cell = with_opening(cell, scene.opening)
     if scene.held is None:
         return cell
     in_tool = jnp.asarray(scene.held_in_tool, jnp.float32)
-    return scenes.with_support(scenes.attach(cell, scene.held, in_tool), scene.support)
+    return with_support(attach(cell, scene.held, in_tool), scene.support)
 
 
 def inside(cell: Workcell, scenes: Scene, index: int) -> Workcell:

@@ -41,7 +41,6 @@ LEFT = 1.003
 
 _NO_CAP = 1e9
 """A speed that no motion reaches; its square is finite in single precision."""
-
 _tool_positions = jax.jit(jax.vmap(lambda cell, q: dq.position(tool_pose(cell, q)), (None, 0)))
 _speeds = jax.jit(jax.vmap(fastest_speeds))
 

@@ -11,7 +11,7 @@ from hybrid_jax.agents import dqn, joint, networks, switching
 from hybrid_jax.contracts import Bridger, SkillChooser, Switcher
 from hybrid_jax.demonstrations.demonstration import load_demonstrations
 from hybrid_jax.errors import RunFolderError
-from hybrid_jax.feasibility.building import load_map
+from hybrid_jax.feasibility.map_files import load_map
 from hybrid_jax.kernels.argument_checks import single_precision
 from hybrid_jax.planner.bridging import rrt_bridger
 from hybrid_jax.planner.lfd import optimal_chooser
@@ -127,9 +127,13 @@ def load_planner(run: Run, *, switch: str = "learned") -> Planner:
         RunFolderError: a stage is missing: the message says which.
     """
     # the stages of agents count only where the planner uses them
-    learned_stages = ("lfd",) * (run.preset.task_planner == "learned")
-    for stage in ("map", *learned_stages, "drl", *("switch",) * (switch == "learned")):
-        if not run.finished(stage):
+    unused = set()
+    if run.preset.task_planner != "learned":
+        unused.add("lfd")
+    if switch != "learned":
+        unused.add("switch")
+    for stage in ("map", "lfd", "drl", "switch"):
+        if stage not in unused and not run.finished(stage):
             raise RunFolderError(
                 f"{run.folder} lacks the stage {stage!r} ({stage}.npz is missing); "
                 f"finish it with: python -m hybrid_jax.train --resume --out "

@@ -28,8 +28,9 @@ _CONFIG = {
     "configuration": dict,
 }
 """Types of the fields of `config.json`."""
-FORMAT = 2
-"""Version of `config.json`. Version 1 had no names of record kinds; its settings were not read."""
+FORMAT = 3
+"""Version of `config.json`. Version 1 had no names of record kinds; in 1 and 2 the last stage was
+called `demo`."""
 STAGES = ("map", "lfd", "drl", "switch", "showcase")
 """Stages of a run, in order."""
 
@@ -86,8 +87,9 @@ class Run:
         with self.path(f"{stage}.jsonl").open("ab+") as file:
             if file.tell():
                 file.seek(-1, os.SEEK_END)
-            torn = file.read(1) not in (b"", b"\n")  # a full disk tore the last line
-            file.write(b"\n" * torn + json.dumps(values).encode() + b"\n")
+            if file.read(1) not in (b"", b"\n"):  # a full disk tore the last line
+                file.write(b"\n")
+            file.write(json.dumps(values).encode() + b"\n")
         if self.listener:
             self.listener(stage, values)
 

@@ -21,6 +21,7 @@ from hybrid_jax.execution.scheduler import planning
 from hybrid_jax.execution.single_tasks import execution_of
 from hybrid_jax.feasibility import building
 from hybrid_jax.feasibility.evaluation import Reason
+from hybrid_jax.feasibility.map_files import save_map
 from hybrid_jax.planner import infeasible_segments
 from hybrid_jax.planner.lfd import optimal_chooser
 from hybrid_jax.planner.pipeline import plan_batch
@@ -57,7 +58,7 @@ def run_map(run: Run, quiet: bool) -> dict:
     counts = np.bincount(np.asarray(fmap.reason).ravel(), minlength=len(Reason))
     shares = {r.name.lower(): round(float(counts[r] / counts.sum()), 4) for r in Reason}
     run.log("map", {"step": int(counts.sum()), **shares})
-    building.save_map(run.path("map.npz"), run.cell, fmap)
+    save_map(run.path("map.npz"), run.cell, fmap)
     return {"poses": int(counts.sum()), "feasible": shares["feasible"]}
 
 

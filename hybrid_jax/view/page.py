@@ -10,7 +10,7 @@ import numpy as np
 
 from hybrid_jax.demonstrations.demonstration import load_demonstrations
 from hybrid_jax.demonstrations.filtering import clean
-from hybrid_jax.feasibility.building import load_map
+from hybrid_jax.feasibility.map_files import load_map
 from hybrid_jax.planner.pipeline import plan_motion
 from hybrid_jax.planner.records import Planner
 from hybrid_jax.runs.load_planner import load_planner

@@ -61,6 +61,14 @@ def _robot(model, data, layout, geoms, frames, links, tolerance):
     )
 
 
+def _sorted_geoms(model, layout, links) -> tuple[list[int], list[int], list[int]]:
+    """Collision geoms of the arm, of movable objects, and of what is welded to the world."""
+    geoms = geometry.collision_geoms(model)
+    arm = [g for g in geoms if links[g] >= 0]
+    objects = [g for g in geoms if _object_of(model, layout, g) >= 0]
+    return arm, objects, [g for g in geoms if links[g] < 0 and g not in objects]
+
+
 def _fixtures(model, data, geoms, tolerance):
     """Primitives of what is welded to the world."""
     world = pose_of([0, 0, 0], [1, 0, 0, 0])
@@ -90,8 +98,11 @@ def _objects(model, data, layout, geoms, tolerance):
     return geometry.in_order(primitives)
 
 
-def _payload_slots(owners: list[int], objects) -> tuple[int, ...]:
+def _payload_slots(task: TaskData | None, owners: list[int], objects) -> tuple[int, ...]:
     """Primitives of each kind that a payload needs: the most that any object has."""
+    # without task data any object may be held; with data that name no gripper none is
+    if task is not None and task.gripper is None:
+        return geometry.counts_of([])
     # whichever object is held, the arrays keep their shapes, so no new trace is needed
     pairs = list(zip(owners, objects, strict=True))
     counts = [geometry.counts_of([p for o, p in pairs if o == k]) for k in set(owners)]
@@ -152,17 +163,13 @@ def compile_workcell(
     require_geometry(model, layout)
     data = reference_data(model, layout)
     frames = joint_frames(model, data, layout)
-    geoms, links = geometry.collision_geoms(model), geom_links(model, layout)
-    object_geoms = [g for g in geoms if _object_of(model, layout, g) >= 0]
-    arm_geoms = [g for g in geoms if links[g] >= 0]
-    fixed_geoms = [g for g in geoms if links[g] < 0 and g not in object_geoms]
+    links = geom_links(model, layout)
+    arm_geoms, object_geoms, fixed_geoms = _sorted_geoms(model, layout, links)
     robot, robot_record = _robot(model, data, layout, arm_geoms, frames, links, mesh_tolerance)
     fixtures = _fixtures(model, data, fixed_geoms, mesh_tolerance)
     objects = _objects(model, data, layout, object_geoms, mesh_tolerance)
     owners = [_object_of(model, layout, p.geom) for p in objects]
-    # without task data any object may be held; with data that name no gripper none is
-    nothing_held = task is not None and task.gripper is None
-    slots = _payload_slots([], []) if nothing_held else _payload_slots(owners, objects)
+    slots = _payload_slots(task, owners, objects)
     forbidden, last_link = forbidden_contacts(model, layout), len(layout.joints) - 1
     pairs = contact_pairs(robot, slots, fixtures, objects, links, last_link, forbidden)
     scene = _scene(task, objects, slots, len(fixtures))
@@ -175,10 +182,9 @@ def compile_workcell(
         "home": jnp.asarray(home_qpos(model)[list(layout.qpos)], jnp.float32),
     }
     bodies = tuple(model.body(model.geom_bodyid[p.geom]).name for p in fixtures)
-    names = layout.joint_names, layout.object_names, owners
     source = WorkcellSource(
         name=name,
-        digest=_digest(arrays, names, task),
+        digest=_digest(arrays, (layout.joint_names, layout.object_names, owners), task),
         model=model,
         layout=layout,
         task=task,

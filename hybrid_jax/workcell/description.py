@@ -48,7 +48,7 @@ class ControllerSpec:
     """How the robot's controller wants its programs."""
 
     program: str
-    """Language of the programs: `tp`."""
+    """Language of the programs, as the module of `export` that writes it names it: `tp`."""
     minus: tuple[tuple[str, str], ...] = ()
     """Pairs of joints: the controller counts the first from the second, not from its link."""
     close: str = ""

@@ -132,7 +132,7 @@ def _point_box(point: Vector, half: Vector) -> Array:
     return _sqrt(dot(gap, gap))
 
 
-def _box_separation(centre, rotation, half_a: Array, half_b: Array) -> Array:
+def _box_separation(centre, rotation, half_a: Vector, half_b: Vector) -> Array:
     """Largest separation over the 15 axes of two boxes (A in B's frame); negative: the depth."""
     axes_a = [tuple(rotation[j][i] for j in range(3)) for i in range(3)]
     axes_b = [tuple(float(i == j) for j in range(3)) for i in range(3)]

@@ -13,7 +13,7 @@ from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.vec3 import dot, sub
 
 
-def ray_capsule(origin, direction, ends, radius) -> Float[Array, ""]:
+def ray_capsule(origin, direction, ends, radius) -> Float[Array, "*rays"]:
     """Distance to a capsule along rays [m]; infinity for a miss.
 
     From inside, the distance to where the ray leaves, as in MuJoCo.
@@ -56,7 +56,9 @@ def ray_capsule(origin, direction, ends, radius) -> Float[Array, ""]:
     return nearest
 
 
-def ray_box(origin, direction, pose: Float[Array, "7"], half: Array) -> Float[Array, ""]:
+def ray_box(
+    origin, direction, pose: Float[Array, "7"], half: Float[Array, "3"]
+) -> Float[Array, "*rays"]:
     """Distance to a box along rays [m]; infinity for a miss, and from inside that to the exit.
 
     Args:
