@@ -64,6 +64,15 @@ def few_programs():
     jax.clear_caches()
 
 
+@pytest.fixture
+def strict_promotion():
+    """Kernels do not mix arrays of different ranks or types without saying so."""
+    import jax
+
+    with jax.numpy_rank_promotion("raise"), jax.numpy_dtype_promotion("strict"):
+        yield
+
+
 @pytest.fixture(scope="session")
 def cell():
     """The handling cell."""

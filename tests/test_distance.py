@@ -16,6 +16,8 @@ from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.collision import distance
 from hybrid_jax.kernels.collision.rounded_boxes import RoundedBoxes
 
+pytestmark = pytest.mark.usefixtures("strict_promotion")
+
 
 def capsule_ends(position, quat, half_length):
     axis = np.zeros(3)

@@ -10,6 +10,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from hybrid_jax.kernels import dualquat as dq
 
+pytestmark = pytest.mark.usefixtures("strict_promotion")
+
 
 def random_transform(rng):
     return RigidTransform.from_components(rng.normal(size=3), Rotation.random(rng=rng))

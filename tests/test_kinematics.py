@@ -11,6 +11,8 @@ import pytest
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.kinematics import jacobian, joint_frames, manipulability, tool_pose
 
+pytestmark = pytest.mark.usefixtures("strict_promotion")
+
 SLIDER = """<mujoco><worldbody><body name="a" pos=".1 0 .2" euler="10 20 30">
 <joint name="lift" type="slide" axis="0 .6 .8" range="-1 1" pos=".05 0 0"/><geom size=".05"/>
 <body name="b" pos="0 .3 0"><joint name="turn" axis="1 1 0" pos=".02 .01 0" range="-3 3"/>

@@ -13,6 +13,8 @@ from hybrid_jax.kernels.collision.ray_lengths import ray_box, ray_capsule
 from hybrid_jax.kernels.kinematics import tool_pose
 from hybrid_jax.kernels.rays import RAY_RANGE, fibonacci_directions, sense
 
+pytestmark = pytest.mark.usefixtures("strict_promotion")
+
 
 @pytest.mark.parametrize(
     "kind, size", [("sphere", (0.2,)), ("capsule", (0.1, 0.3)), ("box", (0.1, 0.2, 0.3))]
