@@ -17,7 +17,7 @@ PRINTED = {
     "06_whole_plan": "written to block_1.csv",
     "07_batch_of_plans": "second batch: {'OK': 8}",
     "08_own_cell": "OK: ",
-    "09_plan_in_physics": "placed: True",
+    "09_plan_in_physics": "success: True",
     "10_joint_policy_elsewhere": "actions of four observations: (4, 7)",
 }
 """A piece of what each example prints."""
