@@ -28,6 +28,7 @@ from hybrid_jax.kernels.collision.rounded_boxes import (
     robot_rows,
     row_counts,
     row_links,
+    split_blocks,
     world_boxes,
     world_count,
 )
@@ -77,8 +78,7 @@ def _kernel(cell: Workcell, q: Array, *, against: str, measured: tuple[int, int]
     Leaves of `cell` and `q` are `[1 or b, ...]`; `measured` is as `_MEASURED`, None for every pair.
     """
     rows, blocks = robot_rows(cell, q)
-    box_first = len(cell.pairs.cover)
-    cover_blocks = RoundedBoxes(*(a[..., :box_first, :] for a in blocks))
+    cover_blocks, boxes_by_kind = split_blocks(cell, blocks)
     batch = q.shape[0]
     zero = jnp.zeros(batch, jnp.int32)
     nearest = Nearest(jnp.full(batch, FAR), zero, zero, jnp.full(batch, FAR))
@@ -91,14 +91,10 @@ def _kernel(cell: Workcell, q: Array, *, against: str, measured: tuple[int, int]
         bounds = jnp.full(rows.centre.shape[1:], FAR)
         for obstacles, pairing in groups:
             bounds = row_bounds(rows, obstacles, pairing, bounds)
-    for kind, span in zip(KINDS, spans(row_counts(cell)), strict=True):
+    for kind, row_boxes, span in zip(KINDS, boxes_by_kind, spans(row_counts(cell)), strict=True):
         if span.start == span.stop:
             continue
-        row_boxes, measure = None, PAIRS[kind.name, "rounded box"]
-        if kind.as_box:
-            box_last = box_first + span.stop - span.start
-            row_boxes = RoundedBoxes(*(a[..., box_first:box_last, :] for a in blocks))
-            box_first = box_last
+        measure = PAIRS[kind.name, "rounded box"]
         if measured:
             candidate = _if_needed(
                 measure, rows, row_boxes, groups, span, bounds, nearest, measured

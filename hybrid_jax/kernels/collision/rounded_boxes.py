@@ -12,7 +12,7 @@ from jax import Array
 
 from hybrid_jax.kernels import vec3
 from hybrid_jax.kernels.collision.distance import FAR
-from hybrid_jax.kernels.collision.primitive_kinds import joined_order, rows_as_boxes, spans
+from hybrid_jax.kernels.collision.primitive_kinds import KINDS, joined_order, rows_as_boxes, spans
 from hybrid_jax.kernels.kinematics import link_frames
 from hybrid_jax.kernels.vec3 import Vector
 from hybrid_jax.types import KinematicChain, Shapes, Workcell
@@ -183,6 +183,28 @@ def _some(array: Array, rows: list[int]) -> Array:
 def block_rows(cell: Workcell) -> list[int]:
     """Numbers of the rows that are read as boxes: the cover of the self pairs, then some kinds."""
     return list(cell.pairs.cover) + rows_as_boxes(row_counts(cell))
+
+
+def split_blocks(
+    cell: Workcell, blocks: RoundedBoxes
+) -> tuple[RoundedBoxes, list[RoundedBoxes | None]]:
+    """The blocks of `block_rows` apart: the cover, then those of each kind; None for no boxes.
+
+    Args:
+        cell: the robot.
+        blocks: leaves `[..., n, b]`.
+    """
+    first = len(cell.pairs.cover)
+    cover = RoundedBoxes(*(a[..., :first, :] for a in blocks))
+    by_kind: list[RoundedBoxes | None] = []
+    for kind, count in zip(KINDS, row_counts(cell), strict=True):
+        if kind.as_box:
+            span = slice(first, first + count)
+            by_kind.append(RoundedBoxes(*(a[..., span, :] for a in blocks)))
+            first += count
+        else:
+            by_kind.append(None)
+    return cover, by_kind
 
 
 def row_counts(cell: Workcell) -> tuple[int, ...]:
