@@ -80,11 +80,11 @@ def main(
     options = tuple(arguments.split())
     if tiny:
         module, options, rounds = "benchmarks.readability", ("--tiny",), 1
-    runs: dict[Path, list[dict[str, dict]]] = {before.resolve(): [], after.resolve(): []}
+    old: list[dict[str, dict]] = []
+    new: list[dict[str, dict]] = []
     for _ in range(rounds):
-        for checkout, figures in runs.items():
+        for checkout, figures in ((before, old), (after, new)):
             figures.append(run_once(checkout, module, options))
-    old, new = runs[before.resolve()], runs[after.resolve()]
     write(ratios(old, new), json, {})
 
 

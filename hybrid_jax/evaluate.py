@@ -30,8 +30,7 @@ def main(
         run: folder of a trained run.
         out: JSON file to write: every run with its seed, and the metrics. A chart and the
             recordings of failed runs are put beside it.
-        runs: random scenes (handling), or scenes for each part (inspection); their seeds begin
-            with --seed.
+        runs: random scenes; of an inspection, scenes for each part. Their seeds begin with --seed.
         methods: hybrid, lfd, lfd_executed, drl, ompl, disturbed, paper, ablation_...; if none is
             named, those of the cell's study.
         seed: of the first scene; if not given, the study's own, which nothing was tuned on

@@ -127,8 +127,10 @@ def new_run(request: RunRequest, config: Path | None, settings: tuple[str, ...])
 def resumed_run(request: RunRequest, config: Path | None, settings: tuple[str, ...]):
     """Open the run that is to go on; one with other settings than those asked for is refused."""
     from hybrid_jax.runs import own_settings, run_folder
+    from hybrid_jax.runs.presets import find_preset
     from hybrid_jax.workcell.assets import default_workcell
 
+    find_preset(request.preset or "default")
     run = run_folder.open_run(request.out, request.workcell or default_workcell())
     requested = {
         "preset_name": request.preset or None,

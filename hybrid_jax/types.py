@@ -89,6 +89,10 @@ class Shapes(Record):
         return self.radius.shape[-1]
 
 
+PRIMITIVE_AXIS = {"pose": -2, "half_extents": -2, "radius": -1, "active": -1}
+"""Axis of the primitives in each array of `Shapes`."""
+
+
 @pytree
 class RobotShapes(Record):
     """Primitives of links and fingers; the payload's slots stand in the scene."""

@@ -28,6 +28,7 @@ from hybrid_jax.planner.phase_scenes import (
 )
 from hybrid_jax.planner.pipeline import plan_batch, plan_motion, prepare
 from hybrid_jax.planner.task_validation import admit
+from hybrid_jax.runs.presets import DEFAULT
 from hybrid_jax.skills.library import without
 from hybrid_jax.tasks.registry import make_task, random_task
 from hybrid_jax.tasks.scene_sampling import sample_scene
@@ -187,7 +188,7 @@ def test_the_fallback_bridges_what_the_joint_agent_does_not(planner, planned):
     helpless = replace(
         planner,
         bridge=lambda segments, key: [None] * len(segments.start),
-        fallback=rrt_bridger(planner.cell, planner.config.fallback),
+        fallback=rrt_bridger(planner.cell, DEFAULT.fallback),
     )
     result = plan_motion(helpless, planned[0], key=jax.random.key(0))
     assert result.status is Status.OK and result.shares[Source.RRT] > 0

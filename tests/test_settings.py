@@ -53,14 +53,12 @@ def test_a_wrong_setting_is_named(change, message):
 
 def test_a_file_then_options_change_a_preset(tmp_path):
     file = tmp_path / "own.json"
-    file.write_text(
-        '{"tasks": 9, "joint": {"training": {"steps": 640}}, "planner": {"fallback": null}}'
-    )
+    file.write_text('{"tasks": 9, "joint": {"training": {"steps": 640}}, "fallback": null}')
     found = own_settings.changed(SMOKE, file, ("--tasks", "11", "--joint.rollouts", "2", "3"))
     assert list(differences(SMOKE, found)) == [
         ("joint.training.steps", 16_384, 640),
         ("joint.rollouts", (8,), (2, 3)),
-        ("planner.fallback", SMOKE.planner.fallback, None),
+        ("fallback", SMOKE.fallback, None),
         ("tasks", 4, 11),
     ]
     file.write_text(json.dumps({"preset": "smoke", "configuration": as_values(found)}))

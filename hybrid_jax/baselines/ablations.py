@@ -140,7 +140,7 @@ def ablated(
     """
     cell = planner.cell
     if name == "rrt":
-        return replace(planner, bridge=rrt_bridger(cell, planner.config.fallback or RrtConfig()))
+        return replace(planner, bridge=planner.fallback or rrt_bridger(cell, RrtConfig()))
     if name == "untrained":
         return replace(planner, bridge=untrained_bridger(cell, preset.joint))
     if name == "straight":

@@ -89,6 +89,8 @@ class Execution:
         self.object = plant.layout.object_names.index(task.object_name)
         gripper = plant.spec.gripper
         self.opened, self.closed = (gripper.open, gripper.squeeze) if gripper else (0.0, 0.0)
+        if task.opening is not None:
+            self.opened = task.opening
         """Commands of the gripper [m]; without one they are sent to nobody."""
         self.seen = plant.objects()
         self.lying = self._lying()
@@ -248,10 +250,11 @@ class Execution:
         must not push it into a neighbour or a wall.
         """
         allowed, columns = self.plant.resting(self.object), self.plant.sensed.things
+        if self.task.hold is None:  # nobody grips it: it goes on lying as all others do
+            return allowed
         row = OBJECTS + self.object
         allowed[row] = allowed[OBJECTS:, self.object] = False
-        support = self.task.hold.support if self.task.hold else ()
-        allowed[row, [columns.index(body) for body in support]] = True
+        allowed[row, [columns.index(body) for body in self.task.hold.support]] = True
         return allowed | self.lying
 
     def allowed(self, grip: float) -> np.ndarray:

@@ -110,6 +110,8 @@ def execute(
         InputError: the plan holds no trajectory, or starts elsewhere than the task.
         BlownUp: the simulation became unstable.
     """
+    if not plan.phases:
+        raise InputError("nothing to execute: the plan holds no trajectory")
     sensed = sense_cell(cell)
     plant = _plant_of(sensed, task, config)
     execution = Execution(plant, task, plan.phases, config)

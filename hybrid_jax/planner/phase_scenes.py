@@ -77,7 +77,10 @@ def _opening_at_home(cell: Workcell) -> float:
 
 def _opening(cell: Workcell, task: Task) -> float:
     """Opening of each finger while nothing is held [m]."""
-    return _opening_at_home(cell) if task.opening is None else task.opening
+    if task.opening is not None:
+        return task.opening
+    gripper = cell.source.task.gripper if cell.source.task else None
+    return gripper.open if gripper else _opening_at_home(cell)
 
 
 @jax.jit

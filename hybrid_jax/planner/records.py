@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 from hybrid_jax.contracts import Bridger, SkillChooser, Switcher
 from hybrid_jax.planner.path_ik import PathIkConfig
-from hybrid_jax.planner.rrt_connect import RrtConfig
 from hybrid_jax.planner.smoothing import SmoothingConfig
 from hybrid_jax.planner.timing import TimingConfig
 from hybrid_jax.planner.trajectory_check import CheckConfig
@@ -39,9 +38,6 @@ class PlannerConfig:
     points is used. Three leave 4 % fewer in the handling cell, for three times the labelling."""
     attempts: int = 8
     """Number of routes of a task that are tried, best first."""
-    fallback: RrtConfig | None = RrtConfig(margin=0.001)
-    """RRT-Connect as `Planner.fallback`; None for a planner without one. Beside key poses there is
-    no room for a larger margin."""
 
     @property
     def first_look(self) -> PathIkConfig:
@@ -68,5 +64,5 @@ class Planner:
     config: PlannerConfig = PlannerConfig()
     """Settings."""
     fallback: Bridger | None = None
-    """A planner without learning, for gaps that the joint agent does not bridge; see
+    """A planner without learning in this cell, for gaps that the joint agent does not bridge; see
     `bridging.rrt_bridger`. None gives up there."""

@@ -26,8 +26,8 @@ def _bad_numbers(cell: Workcell, task: Task) -> str | None:
     names = cell.source.layout.object_names
     if task.object_name not in names:
         return f"unknown object {task.object_name!r}; there are: {', '.join(sorted(names))}"
-    if any(task.carrying) and task.hold is None:
-        return f"{task.object_name!r} is carried, but the task does not say how: give it a `hold`"
+    if any(task.carrying) and (fault := _bad_hold(cell, task)):
+        return fault
     shape = (len(names), 7)
     if np.shape(task.object_poses) != shape:
         return f"object_poses must have shape {shape}, got {np.shape(task.object_poses)}"
@@ -36,6 +36,25 @@ def _bad_numbers(cell: Workcell, task: Task) -> str | None:
         if rows.size:
             return f"{name}: row {rows[0]} is not finite"
     return within_limits(cell, np.asarray(task.end), "end")[2] if task.end is not None else None
+
+
+def _bad_hold(cell: Workcell, task: Task) -> str | None:
+    """What is wrong with how a task's object is held."""
+    if task.hold is None:
+        return f"{task.object_name!r} is carried, but the task does not say how: give it a `hold`"
+    owner = cell.source.layout.object_names.index(task.object_name)
+    if cell.source.owners.count(owner) and not cell.scene.payload.count:
+        return (
+            f"{task.object_name!r} is carried, but nothing can be held in this cell: see its data"
+        )
+    in_tool = np.asarray(task.hold.in_tool, float)
+    if in_tool.shape != (7,) or not np.isfinite(in_tool).all():
+        return f"hold.in_tool must be 7 finite numbers, got {task.hold.in_tool!r}"
+    unknown = set(task.hold.support) - set(cell.source.fixture_bodies)
+    if unknown:
+        known = ", ".join(sorted(set(cell.source.fixture_bodies)))
+        return f"hold.support names {min(unknown)!r}; the fixtures are: {known}"
+    return None
 
 
 def within_limits(cell: Workcell, q: np.ndarray, name: str) -> tuple[np.ndarray, str, str]:

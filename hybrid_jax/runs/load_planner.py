@@ -16,6 +16,7 @@ from hybrid_jax.kernels.argument_checks import single_precision
 from hybrid_jax.planner.bridging import rrt_bridger
 from hybrid_jax.planner.lfd import optimal_chooser
 from hybrid_jax.planner.records import Planner, PlannerConfig
+from hybrid_jax.runs.presets import DEFAULT
 from hybrid_jax.runs.run_folder import Run
 from hybrid_jax.runtime import artifacts
 from hybrid_jax.skills.library import SkillLibrary, build_library
@@ -104,8 +105,8 @@ def untrained_planner(
         config: settings.
         skills: folder of demonstrations; the shipped ones if None.
     """
-    fallback = rrt_bridger(cell, config.fallback)
-    switch = optimal_switcher(switching.SwitchConfig())
+    fallback = rrt_bridger(cell, DEFAULT.fallback)
+    switch = optimal_switcher(DEFAULT.switch)
     library = read_library(skills)
     return Planner(cell, library, optimal_chooser, None, switch, scale, config, fallback)
 
@@ -148,5 +149,5 @@ def load_planner(run: Run, *, switch: str = "learned") -> Planner:
         switch=learned_switcher(run) if switch == "learned" else optimal_switcher(preset.switch),
         scale=read_scale(run),
         config=preset.planner,
-        fallback=rrt_bridger(cell, preset.planner.fallback),
+        fallback=rrt_bridger(cell, preset.fallback),
     )

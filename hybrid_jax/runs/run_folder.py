@@ -172,7 +172,8 @@ def create_run(
         UnknownNameError: no such preset or cell.
         RunFolderError: the folder already holds a run.
     """
-    settings = settings or find_preset(preset)
+    named = find_preset(preset)
+    settings = settings or named
     cell = load_workcell(workcell, tool=tool, package_paths=package_paths)
     folder = out or _new_folder(Path("runs"), cell.source.name)
     folder.mkdir(parents=True, exist_ok=True)

@@ -112,6 +112,7 @@ def _field(hint, value, label: str):
 
 def _as_floats(value, hint):
     """A value that fits, with floats where whole numbers stand for them."""
+    hint = next((choice for choice in choices(hint) if fits(value, choice)), hint)
     if hint is float:
         return float(value)
     inner = get_args(hint)

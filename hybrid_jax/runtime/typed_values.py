@@ -54,7 +54,7 @@ def in_words(hint: Any) -> str:
         str: "text",
         int: "a whole number",
         bool: "true or false",
-        type(None): "null",
+        type(None): "nothing",
     }
     if len(choices(hint)) > 1:
         return " or ".join(map(in_words, choices(hint)))

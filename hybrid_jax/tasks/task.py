@@ -56,7 +56,8 @@ class Task:
     hold: Hold | None = None
     """How the object is held; None where nothing is carried."""
     opening: float | None = None
-    """Opening of each finger while nothing is held [m]; None for that of the keyframe `home`."""
+    """Opening of each finger while nothing is held [m]; None for the gripper's own, or that of the
+    keyframe `home` where the cell's data name no gripper."""
 
     @property
     def phases(self) -> list[tuple[int, int]]:

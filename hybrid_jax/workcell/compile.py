@@ -100,8 +100,8 @@ def _objects(model, data, layout, geoms, tolerance):
 
 def _payload_slots(task: TaskData | None, owners: list[int], objects) -> tuple[int, ...]:
     """Primitives of each kind that a payload needs: the most that any object has."""
-    # without task data any object may be held; with data that name no gripper none is
-    if task is not None and task.gripper is None:
+    # without task data any object may be held
+    if task and all(task.held_in_tool(spec.name) is None for spec in task.objects):
         return geometry.counts_of([])
     # whichever object is held, the arrays keep their shapes, so no new trace is needed
     pairs = list(zip(owners, objects, strict=True))

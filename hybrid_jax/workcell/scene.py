@@ -11,7 +11,7 @@ from jaxtyping import Float
 from hybrid_jax.errors import UnknownNameError
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.collision.primitive_kinds import kinds_of, spans
-from hybrid_jax.types import Shapes, Workcell
+from hybrid_jax.types import PRIMITIVE_AXIS, Shapes, Workcell
 
 
 def _moved(shapes: Shapes, pose: Float[Array, "n 7"]) -> Shapes:
@@ -70,12 +70,12 @@ def attach(cell: Workcell, name: str, object_in_tool: Float[Array, "7"]) -> Work
     # each primitive takes the next of the payload's slots for its kind
     targets = jnp.array([next(free[kinds[i]]) for i in rows], int)
     sources = jnp.array(rows, int)
-    payload = slots.replace(
-        pose=slots.pose.at[targets].set(shapes.pose[sources]),
-        half_extents=slots.half_extents.at[targets].set(shapes.half_extents[sources]),
-        radius=slots.radius.at[targets].set(shapes.radius[sources]),
-        active=jnp.zeros_like(slots.active).at[targets].set(1.0),
-    )
+    filled = {
+        name: getattr(slots, name).at[targets].set(getattr(shapes, name)[sources])
+        for name in PRIMITIVE_AXIS
+        if name != "active"
+    }
+    payload = slots.replace(**filled, active=jnp.zeros_like(slots.active).at[targets].set(1.0))
     objects = cell.scene.objects
     objects = objects.replace(active=objects.active.at[jnp.array(rows, int)].set(0.0))
     return cell.replace(scene=cell.scene.replace(objects=objects, payload=payload))

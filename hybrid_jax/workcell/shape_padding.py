@@ -6,7 +6,7 @@ import numpy as np
 
 from hybrid_jax.errors import InputError
 from hybrid_jax.kernels.collision.primitive_kinds import spans
-from hybrid_jax.types import ContactPairs, Shapes, Workcell, WorkcellSource
+from hybrid_jax.types import PRIMITIVE_AXIS, ContactPairs, Shapes, Workcell, WorkcellSource
 
 
 class SharedSource(WorkcellSource):
@@ -47,12 +47,12 @@ def _padded(shapes: Shapes, counts: tuple[int, ...]) -> tuple[Shapes, np.ndarray
         padded[slots] = values
         return jnp.asarray(padded)
 
-    pose, half, radius, active = map(
-        np.asarray, (shapes.pose, shapes.half_extents, shapes.radius, shapes.active)
-    )
-    identity = [0, 0, 0, 1, 0, 0, 0]
-    arrays = into(pose, identity), into(half, 0), into(radius, 0), into(active, 0)
-    return Shapes(*arrays, counts=counts), slots
+    # empty slots are not rotated
+    fills = {"pose": [0, 0, 0, 1, 0, 0, 0]}
+    arrays = {
+        name: into(np.asarray(getattr(shapes, name)), fills.get(name, 0)) for name in PRIMITIVE_AXIS
+    }
+    return Shapes(**arrays, counts=counts), slots
 
 
 def unify_shapes(cells: list[Workcell]) -> list[Workcell]:

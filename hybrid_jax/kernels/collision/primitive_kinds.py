@@ -2,8 +2,8 @@
 """The kinds of collision primitives: their order, the distance of each pair, and their rays.
 
 A list of primitives (`types.Shapes`) holds them kind by kind, in the order of `KINDS`; `counts`
-says how many there are of each. Nothing outside this module knows which kinds there are or how
-they are ordered. A new kind is a module with its distances, and its entries in `KINDS` and `PAIRS`.
+says how many there are of each. Nothing outside this module relies on their order. A new kind is a
+module with its distances, and its entries in `KINDS` and `PAIRS`.
 """
 
 from collections.abc import Callable, Sequence

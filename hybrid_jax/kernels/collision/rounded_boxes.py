@@ -15,7 +15,7 @@ from hybrid_jax.kernels.collision.distance import FAR
 from hybrid_jax.kernels.collision.primitive_kinds import KINDS, joined_order, rows_as_boxes, spans
 from hybrid_jax.kernels.kinematics import link_frames
 from hybrid_jax.kernels.vec3 import Vector
-from hybrid_jax.types import KinematicChain, Shapes, Workcell
+from hybrid_jax.types import PRIMITIVE_AXIS, KinematicChain, Shapes, Workcell
 
 
 class RoundedBoxes(NamedTuple):
@@ -68,11 +68,12 @@ def join(a: Shapes, b: Shapes) -> Shapes:
         tail = (slice(None),) * (-axis - 1)
         return _concatenate([array[(..., rows, *tail)] for array, rows in parts], axis)
 
+    arrays = {
+        name: both(getattr(a, name), getattr(b, name), axis)
+        for name, axis in PRIMITIVE_AXIS.items()
+    }
     return Shapes(
-        pose=both(a.pose, b.pose, -2),
-        half_extents=both(a.half_extents, b.half_extents, -2),
-        radius=both(a.radius, b.radius, -1),
-        active=both(a.active, b.active, -1),
+        **arrays,
         counts=tuple(map(sum, zip(a.counts, b.counts, strict=True))),
         all_spheres=(a.all_spheres or not a.count) and (b.all_spheres or not b.count),
     )
