@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from test_demonstrations import recording, write_bag
+from recordings import recording, write_bag
 
 from hybrid_jax.agents import joint, networks
 from hybrid_jax.demonstrations.demonstration import load_demonstration

@@ -42,6 +42,7 @@ def test_settings_are_read_back_as_they_were(preset):
         ({"joint": {"training": {"kind": "Td3Config"}}}, "it must be one of: PpoConfig, SacConfig"),
         ({"joint": {"training": {"kind": "SacConfig"}}}, "joint.training.batch is missing"),
         ({"planner": 3}, "planner is 3"),
+        ({"map": {"ik": {"seeds": 0}}}, "map.ik: seeds and iterations must be at least 1"),
         ({"map": {"spacing": float("nan")}}, "map.spacing is nan; it must be a finite number"),
         ({"joint": {"rollouts": 8}}, "joint.rollouts is 8; it must be a list, each item a whole"),
     ],

@@ -125,7 +125,8 @@ def test_what_its_reader_refuses_is_said(lifting, tmp_path):
         load_workcell(tmp_path / "bad.xml")
 
 
-def test_every_kind_is_that_of_a_shipped_cell(cell):
+def test_every_kind_is_that_of_a_shipped_cell(monkeypatch):
+    monkeypatch.delitem(TASK_KINDS, "lifting", raising=False)  # the toy, while its cell is in use
     assert {load_workcell(name).source.task.kind for name in SHIPPED} == set(TASK_KINDS)
 
 

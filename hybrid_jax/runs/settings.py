@@ -41,7 +41,8 @@ def from_values(kind: type[T], values: Any, label: str) -> T:
         An instance of `kind`.
 
     Raises:
-        InputError: a field is missing, unknown or of another type; the message names it.
+        InputError: a field is missing, unknown, of another type, or refused by the settings
+            themselves; the message names it.
     """
     if not isinstance(values, dict):
         raise InputError(f"{label} must be a table of settings, got {shortened(repr(values))}")
@@ -49,7 +50,11 @@ def from_values(kind: type[T], values: Any, label: str) -> T:
     for name in sorted(set(values) ^ set(hints)):
         fault = "is missing" if name in hints else f"is unknown; there are: {', '.join(hints)}"
         raise InputError(f"{label}.{name} {fault}")
-    return kind(**{n: _field(hints[n], values[n], f"{label}.{n}") for n in hints})
+    fields_by_name = {n: _field(hints[n], values[n], f"{label}.{n}") for n in hints}
+    try:
+        return kind(**fields_by_name)
+    except (ValueError, ArithmeticError) as error:
+        raise InputError(f"{label}: {error}") from None
 
 
 def differences(ours, others, label: str = "") -> Iterator[tuple[str, Any, Any]]:
