@@ -88,9 +88,8 @@ class Execution:
         self.plant, self.task, self.phases, self.config = plant, task, phases, config
         self.object = plant.layout.object_names.index(task.object_name)
         gripper = plant.spec.gripper
-        self.opened, self.closed = (gripper.open, gripper.squeeze) if gripper else (0.0, 0.0)
-        if task.opening is not None:
-            self.opened = task.opening
+        opening, self.closed = (gripper.open, gripper.squeeze) if gripper else (0.0, 0.0)
+        self.opened = opening if task.opening is None else task.opening
         """Commands of the gripper [m]; without one they are sent to nobody."""
         self.seen = plant.objects()
         self.lying = self._lying()
@@ -273,8 +272,7 @@ class Execution:
             return allowed
         row = OBJECTS + self.object
         allowed[row] = allowed[OBJECTS:, self.object] = False
-        position = self.plant.objects()[self.object, :3]
-        support = self.task.require_hold().support
+        position, support = self.plant.objects()[self.object, :3], self.task.require_hold().support
         ends = self.seen[self.object], self.task.placed_pose
         # it is lifted from the first and put on the last; they may be one
         for body, end in zip(support[:1] + support[-1:], ends, strict=bool(support)):
