@@ -18,7 +18,7 @@ _SERIES = 0.01
 """Squared angle below which differences that cancel are written as series [rad^2]."""
 
 
-def quat_mul(a: Float[Array, "*b 4"], b: Float[Array, "*b 4"]) -> Float[Array, "*b 4"]:
+def quat_mul(a: Float[Array, "*#b 4"], b: Float[Array, "*#b 4"]) -> Float[Array, "*b 4"]:
     """Hamilton product `[*b, 4]` of two quaternions `(w, x, y, z)`."""
     aw, ax, ay, az = (a[..., i] for i in range(4))
     bw, bx, by, bz = (b[..., i] for i in range(4))
@@ -38,7 +38,7 @@ def quat_conj(q: Float[Array, "*b 4"]) -> Float[Array, "*b 4"]:
     return q * jnp.array([1.0, -1.0, -1.0, -1.0], q.dtype)
 
 
-def quat_rotate(q: Float[Array, "*b 4"], v: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
+def quat_rotate(q: Float[Array, "*#b 4"], v: Float[Array, "*#b 3"]) -> Float[Array, "*b 3"]:
     """Vectors `[*b, 3]`, of any unit, rotated by unit quaternions `[*b, 4]`."""
     w, u = q[..., :1], q[..., 1:]
     t = 2 * jnp.cross(u, v)
@@ -83,7 +83,9 @@ def quat_log(q: Float[Array, "*b 4"]) -> Float[Array, "*b 3"]:
     return scale * u
 
 
-def from_parts(position: Float[Array, "*b 3"], quat: Float[Array, "*b 4"]) -> Float[Array, "*b 8"]:
+def from_parts(
+    position: Float[Array, "*#b 3"], quat: Float[Array, "*#b 4"]
+) -> Float[Array, "*b 8"]:
     """Pose `[*b, 8]` from a position [m] and a unit quaternion (paper, eq. `r + eps t r / 2`)."""
     pure = jnp.concatenate([jnp.zeros_like(position[..., :1]), position], axis=-1)
     return jnp.concatenate([quat, 0.5 * quat_mul(pure, quat)], axis=-1)
@@ -101,7 +103,7 @@ def to_matrix(q: Float[Array, "*b 8"]) -> Float[Array, "*b 4 4"]:
     return jnp.concatenate([top, bottom], axis=-2)
 
 
-def mul(a: Float[Array, "*b 8"], b: Float[Array, "*b 8"]) -> Float[Array, "*b 8"]:
+def mul(a: Float[Array, "*#b 8"], b: Float[Array, "*#b 8"]) -> Float[Array, "*b 8"]:
     """Composition `[*b, 8]`: the matrix of the product is the product of the matrices."""
     real = quat_mul(a[..., :4], b[..., :4])
     dual = quat_mul(a[..., :4], b[..., 4:]) + quat_mul(a[..., 4:], b[..., :4])
@@ -120,7 +122,7 @@ def normalize(q: Float[Array, "*b 8"]) -> Float[Array, "*b 8"]:
     return jnp.concatenate([real, dual - jnp.sum(real * dual, -1, keepdims=True) * real], -1)
 
 
-def act(q: Float[Array, "*b 8"], point: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
+def act(q: Float[Array, "*#b 8"], point: Float[Array, "*#b 3"]) -> Float[Array, "*b 3"]:
     """Points `[*b, 3]` [m] moved by poses `[*b, 8]`: rotation, then translation."""
     return quat_rotate(q[..., :4], point) + position(q)
 
@@ -169,7 +171,7 @@ def log(q: Float[Array, "*b 8"]) -> Float[Array, "*b 6"]:
     return jnp.concatenate([translation - 0.5 * wt + d * jnp.cross(w, wt), w], axis=-1)
 
 
-def sclerp(a: Float[Array, "*b 8"], b: Float[Array, "*b 8"], s: Float[Array, "*b"]):
+def sclerp(a: Float[Array, "*#b 8"], b: Float[Array, "*#b 8"], s: Float[Array, "*#b"]):
     """Screw linear interpolation (ScLERP) `a (a* b)^s`, along the shorter arc.
 
     Args:
