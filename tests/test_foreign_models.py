@@ -220,3 +220,10 @@ def test_a_body_without_a_name_is_looked_up_by_its_number(tmp_path):
     text = CELL.format(more="").replace('<body name="link">', "<body>")
     (tmp_path / "cell.xml").write_text(text)
     assert check.main(str(tmp_path / "cell.xml"), quiet=True) == 0
+
+
+def test_a_model_whose_meshes_are_missing_is_diagnosed(tmp_path):
+    """MuJoCo reads its text but cannot compile it: the file is the finding, not a crash."""
+    mesh = '<asset><mesh name="m" file="nowhere.stl"/></asset><worldbody>'
+    text = CELL.format(more='<geom type="mesh" mesh="m"/>').replace("<worldbody>", mesh)
+    assert "nowhere.stl" in findings(tmp_path, text)

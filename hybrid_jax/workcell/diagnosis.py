@@ -92,7 +92,7 @@ def _look(found: list[Finding], path: Path, task: TaskData | None, tool: str, pa
         # where nothing tells the tool, all else is checked with the end of the longest chain
         end = _tried([], lambda: longest_chain(as_spec(path, packages)))
         model = (end and _tried([], lambda: read_model(path, end, packages))) or model
-        layout = end and _tried([], lambda: find_layout(model, None, end))
+        layout = model and end and _tried([], lambda: find_layout(model, None, end))
     return model, layout or None
 
 
