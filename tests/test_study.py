@@ -2,6 +2,7 @@
 """The study: disturbances, what runs add up to, and the film."""
 
 import functools
+import importlib
 from dataclasses import replace
 
 import jax
@@ -27,6 +28,7 @@ from hybrid_jax.studies import handling_pictures, inspection, methods, single_ta
 from hybrid_jax.tasks.scene_sampling import sample_scene
 from hybrid_jax.tasks.task import yaw_of
 from hybrid_jax.types import Source, Status
+from hybrid_jax.workcell.description import TASK_KINDS, kind_module
 from hybrid_jax.workcell.layout import home_qpos
 from hybrid_jax.workcell.load import load_workcell
 
@@ -247,7 +249,8 @@ def test_a_study_without_methods_is_refused(cell, tmp_path, monkeypatch):
 
 
 def test_every_method_of_the_command_exists():
-    for one in (study, inspection, single_tasks):
+    modules = [importlib.import_module(kind_module(kind).STUDY) for kind in TASK_KINDS]
+    for one in (*modules, single_tasks):
         assert set(one.METHODS) <= set(methods.METHODS)
 
 

@@ -16,6 +16,7 @@ from hybrid_jax.errors import UnknownNameError, WorkcellError
 from hybrid_jax.execution.single_tasks import execute, execution_of
 from hybrid_jax.planner.pipeline import plan_batch, plan_motion
 from hybrid_jax.runs.load_planner import untrained_planner
+from hybrid_jax.runs.run_folder import Run
 from hybrid_jax.studies import single_tasks
 from hybrid_jax.studies.methods import Method
 from hybrid_jax.studies.registry import Study, study_of
@@ -95,7 +96,7 @@ def test_a_hold_that_is_wrong_is_named(lifting, lifter, change, words):
     assert plan.status is Status.INVALID_TASK and words in plan.detail
 
 
-def test_its_study_compares_methods(lifting, lifter):
+def test_its_study_compares_methods(lifting, lifter, tmp_path):
     study = study_of(lifting)
     assert study is single_tasks
     reports, seconds = study.run_method(lifting, Method("hybrid", lifter, plan_batch), [0, 1], True)
@@ -103,6 +104,8 @@ def test_its_study_compares_methods(lifting, lifter):
     metrics = {row["key"]: row["value"] for row in study.summarize(rows, {"hybrid": seconds})}
     assert metrics["tasks.hybrid_success"] == np.mean([study.succeeded(r) for r in reports])
     assert metrics["tasks.hybrid_success"] > 0 and metrics["tasks.hybrid_moved_mm"] < 5
+    study.draw(tmp_path / "study.png", rows, Run(tmp_path, lifting, "smoke", 0))
+    assert (tmp_path / "study.png").stat().st_size > 5_000
 
 
 def test_its_showcase_says_what_became_of_each_task(lifting):

@@ -41,7 +41,7 @@ class Progress:
         else:
             speed = f"{rate:,.0f}/s" if rate >= 10 else f"{rate:.2g}/s"
             timing = f"{speed}  {(total - done) / rate:.0f} s left"
-        text = f"{self.stage:7s} {done:>9,}/{total:,} {self.unit}  {timing}  {note}"
+        text = f"{self.stage:8s} {done:>9,}/{total:,} {self.unit}  {timing}  {note}"
         _write(text.rstrip(), self.live, finished)
 
 
@@ -52,7 +52,7 @@ def working(stage: str, what: str, quiet: bool = False) -> Iterator[None]:
 
     def tell():
         while not quit_event.wait(LIVE if live else DEAD):
-            _write(f"{stage:7s} {what}, {time.monotonic() - began:.0f} s", live, False)
+            _write(f"{stage:8s} {what}, {time.monotonic() - began:.0f} s", live, False)
 
     teller = threading.Thread(target=tell, daemon=True)
     if not quiet:
@@ -63,7 +63,7 @@ def working(stage: str, what: str, quiet: bool = False) -> Iterator[None]:
         quit_event.set()
         if not quiet:
             teller.join()
-            _write(f"{stage:7s} {what}, {time.monotonic() - began:.1f} s", live, True)
+            _write(f"{stage:8s} {what}, {time.monotonic() - began:.1f} s", live, True)
 
 
 def _write(text: str, live: bool, finished: bool) -> None:
