@@ -36,19 +36,18 @@ TIMED = 100
 """Segments of the test whose calls are timed."""
 
 
-def solved(bridge, policy, segments: Segments) -> tuple[np.ndarray, np.ndarray]:
+def solved(bridge, segments: Segments) -> tuple[np.ndarray, np.ndarray]:
     """Which segments the agent solves alone, and the time of each call [s].
 
     Args:
-        bridge: from `joint.make_bridging`.
-        policy: the agent.
+        bridge: from `joint.make_bridger`.
         segments: to be solved one after the other.
     """
     found, seconds = [], []
     for i in range(segments.start.shape[0]):
         one = take(segments, slice(i, i + 1))
         began = time.perf_counter()
-        path = bridge(policy, one, jax.random.key(i))[0]
+        path = bridge(one, jax.random.key(i))[0]
         seconds.append(time.perf_counter() - began)
         found.append(path is not None)
     return np.array(found), np.array(seconds)
@@ -147,10 +146,11 @@ def figures(
     config = replace(CONFIG, training=replace(CONFIG.training, steps=2 * steps))
     net, ends, halves, curves, seconds = train(cell, problems.training, seeds, config)
     test, tests = problems.held_out, f"{problems.held_out.start.shape[0]} segments"
-    single, best = (joint.make_bridging(cell, net, c) for c in (SINGLE, MANY))
-    one = [solved(single, p, test)[0].mean() for p in ends]
-    early = [solved(single, p, test)[0].mean() for p in halves]
-    many, calls = zip(*(solved(best, p, test) for p in ends), strict=True)
+    alone = lambda policy: joint.make_bridger(cell, policy, SINGLE)  # noqa: E731
+    best = lambda policy: joint.make_bridger(cell, policy, MANY)  # noqa: E731
+    one = [solved(alone(p), test)[0].mean() for p in ends]
+    early = [solved(alone(p), test)[0].mean() for p in halves]
+    many, calls = zip(*(solved(best(p), test) for p in ends), strict=True)
     calls = np.concatenate([c[1:] for c in calls])
     enough = int(64 * CONFIG.enough)
     strict = rollout_seconds(cell, net, ends[0], test, None)

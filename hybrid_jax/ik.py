@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Inverse kinematics: every branch that many seeds of damped least squares find for a pose."""
 
-import functools
 from dataclasses import dataclass
 
 import jax
@@ -14,6 +13,7 @@ from hybrid_jax.kernels.argument_checks import pose as pose_input
 from hybrid_jax.kernels.collision.clearance import clearance
 from hybrid_jax.kernels.damped_least_squares import descend
 from hybrid_jax.kernels.kinematics import jacobian
+from hybrid_jax.runtime.kept_programs import kept
 from hybrid_jax.types import KinematicChain, Record, Workcell, pytree
 
 
@@ -117,7 +117,7 @@ def _push_away(cell: Workcell, pose: Array, q: Array, config: IkConfig) -> tuple
 
 
 @checks(pose=pose_input, reference=configuration)
-@functools.partial(jax.jit, static_argnames="config")
+@kept(static=("config",))
 def solve_ik(
     cell: Workcell,
     pose: Float[Array, "8"],
@@ -177,7 +177,7 @@ def solve_ik(
     )
 
 
-@functools.partial(jax.jit, static_argnames="config")
+@kept(static=("config",))
 def track_poses(
     cell: Workcell,
     poses: Float[Array, "point 8"],

@@ -20,6 +20,7 @@ from jax import Array
 from hybrid_jax.agents import hdqn_networks
 from hybrid_jax.agents.hdqn_networks import Controllers
 from hybrid_jax.errors import InputError
+from hybrid_jax.runtime.kept_programs import kept
 from hybrid_jax.skills.costs import SegmentCosts
 from hybrid_jax.skills.task_segmentation import SkillPlan
 from hybrid_jax.types import Record, pytree
@@ -275,6 +276,12 @@ def make_trainer(tasks: SegmentCosts, config: DqnConfig, rounds: int):
     return jax.jit(lambda state: jax.lax.scan(step, state, length=rounds))
 
 
+@kept(static=("config",))
+def _greedy_plans(params, costs: SegmentCosts, config: DqnConfig):
+    """`hdqn_networks.greedy_plans` of tasks `[task, ...]`."""
+    return hdqn_networks.greedy_plans(make_controllers(config), params, costs)
+
+
 def make_chooser(config: DqnConfig, params):
     """The trained controllers as a function that the planner calls.
 
@@ -286,11 +293,10 @@ def make_chooser(config: DqnConfig, params):
         A `SkillChooser`: from the costs `[a, b, skill]` of one task to its plan, as a list of
         (from, to, skill); the list is empty where a dead end is met.
     """
-    run = jax.jit(functools.partial(hdqn_networks.greedy_plans, make_controllers(config)))
 
     def choose(costs: SegmentCosts) -> SkillPlan:
-        batch = jax.tree.map(lambda a: jnp.asarray(a)[None], costs)
-        records, total = jax.device_get(run(params, batch))
+        batch = jax.tree.map(lambda a: np.asarray(a)[None], costs)
+        records, total = jax.device_get(_greedy_plans(params, batch, config))
         if not np.isfinite(total[0]):
             return []
         return [(int(a), int(b), int(k)) for a, b, k in records[0] if a >= 0]

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The DRL-Feasibility agent: trained on infeasible segments, used as the best of many rollouts."""
 
-import functools
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import jax
@@ -19,6 +17,7 @@ from hybrid_jax.envs.segments import refuse_infeasible
 from hybrid_jax.kernels.batching import padded_chunks
 from hybrid_jax.kernels.collision.clearance import clearance_up_to
 from hybrid_jax.kernels.collision.motion_validation import paths_are_free
+from hybrid_jax.runtime.kept_programs import kept
 from hybrid_jax.runtime.keys import fold_in
 from hybrid_jax.types import Workcell
 
@@ -212,59 +211,52 @@ def _moved(q: np.ndarray) -> np.ndarray:
     return np.concatenate([q[:1], q[1:][changed]])
 
 
-def make_bridger(
-    cell: Workcell, net: networks.ActorCritic, policy: networks.Policy, config: JointAgentConfig
-) -> Bridger:
-    """The trained agent as a function that the planner calls: `make_bridging` of one policy.
+@kept(static=("each", "config"))
+def _ranked_rollouts(
+    cell: Workcell,
+    policy: networks.Policy,
+    segments: Segments,
+    key: Array,
+    each: int,
+    config: JointAgentConfig,
+) -> tuple[Array, Array]:
+    """`each` rollouts of every segment, the best first, see `_best_first`; `[segment, ...]`."""
+    env, count = planning_env(cell, segments, config), segments.start.shape[0]
+    net = make_net(cell, config)
+    index = jnp.repeat(jnp.arange(count), each)
+    spread, enough = jnp.tile(spreads(each), count), max(1, int(config.enough * each))
+    q, reached = rollouts(env, net, policy, index, spread, key, enough)
+    q = jnp.moveaxis(q.reshape(len(q), count, each, -1), 1, 0)
+    rank = lambda scene, q, reached: _best_first(  # noqa: E731
+        cell.replace(scene=scene), q, reached, config
+    )
+    return jax.vmap(rank)(segments.scene, q, reached.reshape(count, -1))
 
-    Args:
-        cell: robot and fixtures.
-        net, policy: the trained agent.
-        config: number of rollouts, ranking and checks.
 
-    Returns:
-        A `Bridger`: from segments with `[segment, joint]` ends [rad] and a key to way points
-        `[point, joint]` [rad] of each, None where no free path was found.
-    """
-    return functools.partial(make_bridging(cell, net, config), policy)
-
-
-def make_bridging(
-    cell: Workcell, net: networks.ActorCritic, config: JointAgentConfig
-) -> Callable[..., list[np.ndarray | None]]:
-    """A function of a policy and of the arguments of a `Bridger`; its programs serve all policies.
+def make_bridger(cell: Workcell, policy: networks.Policy, config: JointAgentConfig) -> Bridger:
+    """The trained agent as a function that the planner calls.
 
     The shortest rollouts are ranked by length and clearance; the first whose every edge is proven
     free is returned.
 
     Args:
         cell: robot and fixtures.
-        net: of the policies.
-        config: number of rollouts, ranking and checks.
+        policy: the trained agent; agents of one cell and `config` share their programs.
+        config: of its training; number of rollouts, ranking and checks.
 
     Returns:
-        From (policy, segments, key) to way points `[point, joint]` [rad] of each segment, None
-        where no free path was found.
+        A `Bridger`: from segments with `[segment, joint]` ends [rad] and a key to way points
+        `[point, joint]` [rad] of each, None where no free path was found.
 
     Raises:
         SegmentError: the function, if an end of a segment is outside the limits or not free.
     """
 
-    @functools.partial(jax.jit, static_argnames="each")
-    def run(policy, segments, key, each):
-        env, count = planning_env(cell, segments, config), segments.start.shape[0]
-        index = jnp.repeat(jnp.arange(count), each)
-        spread, enough = jnp.tile(spreads(each), count), max(1, int(config.enough * each))
-        q, reached = rollouts(env, net, policy, index, spread, key, enough)
-        q = jnp.moveaxis(q.reshape(len(q), count, each, -1), 1, 0)
-        rank = lambda scene, q, reached: _best_first(  # noqa: E731
-            cell.replace(scene=scene), q, reached, config
-        )
-        return jax.vmap(rank)(segments.scene, q, reached.reshape(count, -1))
-
-    def attempt(policy, segments, key, ways, index, each):
+    def attempt(segments, key, ways, index, each):
         """Bridge the segments `index` by `each` rollouts, where possible; fills in their `ways`."""
-        ranked, arrived = jax.device_get(run(policy, take(segments, index), key, each))
+        ranked, arrived = jax.device_get(
+            _ranked_rollouts(cell, policy, take(segments, index), key, each, config)
+        )
         for rank in range(ranked.shape[1]):
             rows = [r for r in range(len(index)) if ways[index[r]] is None and arrived[r, rank]]
             paths = [_moved(ranked[r, rank]) for r in rows]
@@ -277,14 +269,14 @@ def make_bridging(
                 if free:
                     ways[index[row]] = path
 
-    def bridge(policy, segments, key):
+    def bridge(segments: Segments, key: Array) -> list[np.ndarray | None]:
         refuse_infeasible(cell, segments, 0.0)
         solutions: list[np.ndarray | None] = [None] * segments.start.shape[0]
         for number, each in enumerate(config.rollouts):
             unsolved = np.array([i for i, path in enumerate(solutions) if path is None], int)
             for part, (chunk, _) in enumerate(padded_chunks(len(unsolved), SEGMENTS_PER_CALL)):
                 key_part = fold_in(fold_in(key, number), part)
-                attempt(policy, segments, key_part, solutions, unsolved[chunk], each)
+                attempt(segments, key_part, solutions, unsolved[chunk], each)
         return solutions
 
     return bridge

@@ -7,7 +7,6 @@ points; here costs of a jump and of a switch are added. With two choices a step 
 Viterbi path: `optimal_switching` is the oracle.
 """
 
-import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -20,6 +19,7 @@ from jaxtyping import Float, PRNGKeyArray
 from hybrid_jax.agents import networks, ppo
 from hybrid_jax.contracts import STEPS, Combined
 from hybrid_jax.envs.base import StepResult
+from hybrid_jax.runtime.kept_programs import kept
 from hybrid_jax.types import Record, pytree
 
 AHEAD = 5
@@ -189,7 +189,7 @@ def optimal_switching(data: Combined, config: SwitchConfig) -> tuple[np.ndarray,
     return np.asarray(choice), float(value)
 
 
-@functools.partial(jax.jit, static_argnames="config")
+@kept(static=("config",))
 def _viterbi(data: Combined, config: SwitchConfig) -> tuple[Array, Array]:
     q = data.q
     points = point_reward(data, config)
@@ -220,25 +220,26 @@ def make_net(joints: int, config: SwitchConfig) -> networks.ActorCritic:
     )
 
 
+@kept(static=("config",))
+def _choices(policy: networks.Policy, problem: Combined, config: SwitchConfig) -> Array:
+    """`choose` for one problem: choices `[STEPS]`."""
+    net = make_net(problem.q.shape[-1], config)
+    return choose(net, policy, jax.tree.map(lambda a: a[None], problem), config)[0][0]
+
+
 def make_switcher(
-    net: networks.ActorCritic, policy: networks.Policy, config: SwitchConfig
+    policy: networks.Policy, config: SwitchConfig
 ) -> Callable[[Combined], np.ndarray]:
     """The trained agent as a function that the planner calls.
 
     Args:
-        net, policy: the trained agent.
-        config: reward.
+        policy: the trained agent.
+        config: of its training.
 
     Returns:
         A `Switcher`: from one problem to its choices `[STEPS]`, 0 skill, 1 joint agent.
     """
-    run = jax.jit(functools.partial(choose, net, config=config))
-
-    def switch(combined: Combined) -> np.ndarray:
-        batch = jax.tree.map(lambda a: a[None], combined)
-        return np.asarray(run(policy, batch)[0][0])
-
-    return switch
+    return lambda combined: np.asarray(_choices(policy, combined, config))
 
 
 def choose(

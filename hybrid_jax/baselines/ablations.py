@@ -118,7 +118,7 @@ def untrained_bridger(cell: Workcell, config: joint.JointAgentConfig) -> Bridger
     """A `Bridger` by a joint agent that was never trained: its weights are drawn once."""
     net = joint.make_net(cell, config)
     policy = networks.blank_policy(net, joint.observation_length(cell, config))
-    return joint.make_bridger(cell, net, policy, config)
+    return joint.make_bridger(cell, policy, config)
 
 
 def ablated(

@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: MIT
 """Filter a recording, and space its poses evenly, as a skill keeps them."""
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
 from hybrid_jax.demonstrations.demonstration import Demonstration
-from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.pose_paths import resample
+from hybrid_jax.runtime.kept_programs import kept
+from hybrid_jax.workcell.poses import dual_quats
 
 POINTS = 101
 """Number of poses that a skill keeps of a demonstration."""
@@ -17,7 +16,7 @@ CUTOFF = 4.0
 _SAMPLES = 512
 """Samples of every recording before it is spaced by arc length: so one trace serves all."""
 
-_resample = jax.jit(resample, static_argnames="count")
+_resample = kept(resample, static=("count",))
 
 
 def continuous_signs(poses: np.ndarray) -> np.ndarray:
@@ -57,12 +56,6 @@ def low_pass(times: np.ndarray, poses: np.ndarray, cutoff: float = CUTOFF) -> np
     return poses
 
 
-def to_dual(poses: np.ndarray) -> np.ndarray:
-    """Unit dual quaternions `[n, 8]` of positions [m] and quaternions `[n, 7]`, in float32."""
-    rows = jnp.asarray(poses, jnp.float32)
-    return np.asarray(dq.from_parts(rows[:, :3], rows[:, 3:]))
-
-
 def clean(demo: Demonstration, points: int = POINTS) -> np.ndarray:
     """Poses of a demonstration without tremor, evenly spaced by arc length.
 
@@ -74,4 +67,4 @@ def clean(demo: Demonstration, points: int = POINTS) -> np.ndarray:
         `[points, 8]` unit dual quaternions with continuous signs.
     """
     smooth = low_pass(demo.times, continuous_signs(np.asarray(demo.poses, float)))
-    return np.asarray(_resample(jnp.asarray(to_dual(smooth)), points))
+    return np.asarray(_resample(dual_quats(smooth), points))

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Questions to a built map: feasibility at any pose, a seed for IK, the nearest feasible pose."""
 
-import jax
 import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
@@ -10,13 +9,14 @@ from hybrid_jax.feasibility.building import FeasibilityMap
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.argument_checks import checks
 from hybrid_jax.kernels.argument_checks import pose as pose_input
+from hybrid_jax.runtime.kept_programs import kept
 
 TURN_LENGTH = 0.3
 """Length that counts as one radian where positions and rotations are compared [m]."""
 
 
 @checks(pose=pose_input)
-@jax.jit
+@kept
 def query(fmap: FeasibilityMap, pose: Float[Array, "8"]) -> tuple[Array, Array]:
     """Feasibility at a pose, and a configuration as seed for IK.
 
@@ -53,7 +53,7 @@ def query(fmap: FeasibilityMap, pose: Float[Array, "8"]) -> tuple[Array, Array]:
 
 
 @checks(pose=pose_input)
-@jax.jit
+@kept
 def nearest_feasible(fmap: FeasibilityMap, pose: Float[Array, "8"]) -> Float[Array, "8"]:
     """Nearest grid pose that is feasible.
 

@@ -3,7 +3,7 @@
 
 from pathlib import Path
 
-import jax.numpy as jnp
+import jax
 
 from hybrid_jax.errors import RunFolderError
 from hybrid_jax.feasibility.building import FeasibilityMap
@@ -45,7 +45,7 @@ def load_map(path: Path | str, cell: Workcell) -> FeasibilityMap:
     """
     _, state = artifacts.load(Path(path), _KIND, cell.source.digest)
     try:
-        fmap = FeasibilityMap(**{k: jnp.asarray(v) for k, v in state.items()})
+        fmap = FeasibilityMap(**{k: jax.device_put(v) for k, v in state.items()})
         grid = (*fmap.feasibility.shape[:3], len(fmap.orientations))
         shapes = [getattr(fmap, name).shape for name in _ON_GRID]
         sound = all(shape == grid for shape in shapes) and fmap.lower.shape == (3,)

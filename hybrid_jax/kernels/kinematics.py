@@ -16,6 +16,7 @@ from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels import vec3
 from hybrid_jax.kernels.argument_checks import checks, configuration
 from hybrid_jax.kernels.ldl import factor, gram
+from hybrid_jax.runtime.kept_programs import kept
 from hybrid_jax.types import KinematicChain, Workcell
 
 _TINY = 1e-9
@@ -109,7 +110,7 @@ def tool_frame(chain: KinematicChain, frames: Float[Array, "n 7"]) -> Float[Arra
 
 
 @checks(q=configuration)
-@jax.jit
+@kept
 def tool_pose(cell: Workcell, q: Float[Array, " n"]) -> Float[Array, "8"]:
     """Pose of the tool in the world.
 
@@ -146,7 +147,7 @@ def frame_jacobian(chain: KinematicChain, frames: Array, point: Array) -> Float[
 
 
 @checks(q=configuration)
-@jax.jit
+@kept
 def jacobian(cell: Workcell, q: Float[Array, " n"]) -> Float[Array, "6 n"]:
     """Geometric Jacobian of the tool.
 
@@ -165,7 +166,7 @@ def jacobian(cell: Workcell, q: Float[Array, " n"]) -> Float[Array, "6 n"]:
 
 
 @checks(q=configuration)
-@jax.jit
+@kept
 def manipulability(cell: Workcell, q: Float[Array, " n"]) -> Float[Array, ""]:
     """Yoshikawa's measure `sqrt(det(J J^T))` (paper, section "Integrated Feasibility Map").
 

@@ -12,6 +12,7 @@ from hybrid_jax.kernels.argument_checks import checks
 from hybrid_jax.kernels.argument_checks import pose as pose_input
 from hybrid_jax.kernels.collision.primitive_kinds import KINDS, PrimitiveKind, spans
 from hybrid_jax.kernels.collision.rounded_boxes import world_shapes
+from hybrid_jax.runtime.kept_programs import kept
 from hybrid_jax.types import Workcell
 
 RAY_COUNT = 25
@@ -66,7 +67,7 @@ def cast(
 
 
 @checks(pose=pose_input)
-@jax.jit
+@kept
 def sense(cell: Workcell, pose: Float[Array, "8"]) -> Float[Array, "25"]:
     """What the paper's ray sensor sees at a tool pose; robot and payload are unseen.
 

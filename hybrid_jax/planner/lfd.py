@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Tool paths of tasks from a library of skills: RL-LfD online (paper, Algorithm 2)."""
 
-import functools
 import itertools
 from dataclasses import dataclass
 
@@ -11,6 +10,7 @@ import numpy as np
 
 from hybrid_jax.contracts import SkillChooser
 from hybrid_jax.kernels.batching import padded_chunks
+from hybrid_jax.runtime.kept_programs import kept
 from hybrid_jax.skills.costs import SegmentCosts, pad_costs, pad_task, segment_costs
 from hybrid_jax.skills.library import SkillConfig, SkillLibrary
 from hybrid_jax.skills.matching import cut_segment, map_pieces
@@ -56,7 +56,7 @@ class SkillPath:
     """`[segment, POINTS, 8]` tool poses of each unit segment, from key pose to key pose."""
 
 
-@functools.partial(jax.jit, static_argnames=("config", "slots"))
+@kept(static=("config", "slots"))
 def _costs(library: SkillLibrary, poses, carrying, config: SkillConfig, slots: int) -> SegmentCosts:
     """Costs of tasks with equally many key poses.
 

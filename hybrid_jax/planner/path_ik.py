@@ -19,6 +19,7 @@ from jaxtyping import Float, PRNGKeyArray
 from hybrid_jax.ik import IkConfig, solve_ik, track_poses
 from hybrid_jax.kernels.collision.clearance import clearance_up_to
 from hybrid_jax.kernels.kinematics import manipulability
+from hybrid_jax.runtime.kept_programs import kept
 from hybrid_jax.types import Record, Scene, Workcell, pytree
 
 
@@ -261,7 +262,7 @@ def _follow_all(
     return q[:count], usable[:count], linked[:count], *path_and_ok
 
 
-@functools.partial(jax.jit, static_argnames="config")
+@kept(static=("config",))
 def label_tasks(
     cell: Workcell,
     scenes: Scene,

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Scenes of the segments of a task: where the objects lie, what is held, what it may touch."""
 
-import functools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +8,7 @@ from jax import Array
 from jaxtyping import Float
 
 from hybrid_jax.planner.trajectory_check import PhaseScene
+from hybrid_jax.runtime.kept_programs import kept
 from hybrid_jax.tasks.task import Task
 from hybrid_jax.types import Scene, Workcell
 from hybrid_jax.workcell.layout import home_qpos
@@ -35,7 +34,7 @@ def segment_kinds(task: Task) -> np.ndarray:
     return kinds
 
 
-@functools.partial(jax.jit, static_argnames=("name", "support"))
+@kept(static=("name", "support"))
 def kind_scenes(
     cell: Workcell,
     poses: Float[Array, "object 7"],
@@ -83,7 +82,7 @@ def _opening(cell: Workcell, task: Task) -> float:
     return gripper.open if gripper else _opening_at_home(cell)
 
 
-@jax.jit
+@kept
 def _resting_scene(cell: Workcell, poses: Float[Array, "object 7"], opening: float) -> Scene:
     """The scene with objects at `poses` `[object, 7]` while nothing is held."""
     return with_opening(place_objects(cell, poses), opening).scene

@@ -8,7 +8,6 @@ branch at once: most branches are blocked after a few configurations, and no wor
 long ones. Edges are checked at samples only, so callers prove the paths that are returned.
 """
 
-import functools
 from dataclasses import dataclass
 
 import jax
@@ -18,6 +17,7 @@ from jax import Array
 from jaxtyping import PRNGKeyArray
 
 from hybrid_jax.kernels.collision.clearance import clearance_up_to
+from hybrid_jax.runtime.kept_programs import kept
 from hybrid_jax.runtime.keys import split
 from hybrid_jax.types import AnyArray, Record, Scene, Workcell, pytree
 
@@ -191,7 +191,7 @@ def _begin(cell: Workcell, start: Array, goal: Array, key: Array, config: RrtCon
     return search.replace(branches=branches)
 
 
-@functools.partial(jax.jit, static_argnames="config")
+@kept(static=("config",))
 def _search(cell: Workcell, scenes: Scene, starts, goals, keys, config: RrtConfig) -> _Search:
     """Search all problems in lockstep; all leaves have a leading axis `[problem]`."""
 

@@ -14,6 +14,7 @@ from hybrid_jax.kernels.batching import padded_chunks
 from hybrid_jax.kernels.kinematics import tool_pose
 from hybrid_jax.kernels.toppra import fastest_speeds
 from hybrid_jax.planner.speed_profile import SpeedProfile, rounded, sample_speeds
+from hybrid_jax.runtime.kept_programs import kept
 from hybrid_jax.types import Trajectory, Workcell
 
 LEAST_GRID = 512
@@ -41,8 +42,18 @@ LEFT = 1.003
 
 _NO_CAP = 1e9
 """A speed that no motion reaches; its square is finite in single precision."""
-_tool_positions = jax.jit(jax.vmap(lambda cell, q: dq.position(tool_pose(cell, q)), (None, 0)))
-_speeds = jax.jit(jax.vmap(fastest_speeds))
+
+
+@kept
+def _tool_positions(cell: Workcell, q):
+    """Positions of the tool `[point, 3]` at configurations `[point, joint]` [m]."""
+    return jax.vmap(lambda point: dq.position(tool_pose(cell, point)))(q)
+
+
+@kept
+def _speeds(block: list):
+    """`fastest_speeds` of several paths: its arguments `[path, ...]`, to `[path, point]`."""
+    return jax.vmap(fastest_speeds)(*block)
 
 
 @dataclass(frozen=True)
@@ -288,7 +299,7 @@ def _profiles(
     for _ in range(ROUNDS):
         rows = {id(path): path.rows(size) for path in paths}
         block = [np.stack(a) for a in zip(*(rows[id(path)] for path in paths), strict=True)]
-        squared = dict(zip(map(id, paths), np.asarray(_speeds(*block)), strict=True))
+        squared = dict(zip(map(id, paths), np.asarray(_speeds(block)), strict=True))
         for name, path in list(pending.items()):
             profile = path.profile(squared[name], width, period)
             if profile is not None:

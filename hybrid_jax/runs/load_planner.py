@@ -5,7 +5,6 @@ import functools
 from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 
 from hybrid_jax.agents import dqn, joint, networks, switching
 from hybrid_jax.contracts import Bridger, SkillChooser, Switcher
@@ -51,8 +50,8 @@ def load_policy(
         RunFolderError: the file is missing, damaged, of another cell or of other networks.
     """
     _, state = run.load(name, kind)
-    template = networks.blank_policy(net, observations)
-    return jax.tree.map(jnp.asarray, artifacts.restore(template, state, str(run.path(name))))
+    template = jax.eval_shape(functools.partial(networks.blank_policy, net, observations))
+    return jax.device_put(artifacts.restore(template, state, str(run.path(name))))
 
 
 def optimal_switcher(config: switching.SwitchConfig) -> Switcher:
@@ -67,7 +66,7 @@ def learned_switcher(run: Run) -> Switcher:
     policy = load_policy(
         run, "switch.npz", "switching agent", net, switching.SwitchEnv.observation_length(joints)
     )
-    return switching.make_switcher(net, policy, config)
+    return switching.make_switcher(policy, config)
 
 
 def load_bridger(run: Run, name: str = "drl.npz") -> Bridger:
@@ -75,7 +74,7 @@ def load_bridger(run: Run, name: str = "drl.npz") -> Bridger:
     cell, config = run.cell, run.preset.joint
     net = joint.make_net(cell, config)
     policy = load_policy(run, name, "joint agent", net, joint.observation_length(cell, config))
-    return joint.make_bridger(cell, net, policy, config)
+    return joint.make_bridger(cell, policy, config)
 
 
 def load_chooser(run: Run) -> SkillChooser:
@@ -88,7 +87,7 @@ def load_chooser(run: Run) -> SkillChooser:
 def load_learned_chooser(run: Run) -> SkillChooser:
     """The trained controllers of the hierarchical DQN, whatever the preset plans with."""
     _, state = run.load("lfd.npz", "hierarchical DQN")
-    return dqn.make_chooser(run.preset.dqn, jax.tree.map(jnp.asarray, state))
+    return dqn.make_chooser(run.preset.dqn, jax.device_put(state))
 
 
 def untrained_planner(

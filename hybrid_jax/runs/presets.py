@@ -100,7 +100,7 @@ SMOKE = Preset(
     joint=replace(
         JointAgentConfig(),
         training=PpoConfig(steps=16_384, envs=64, unroll=32, minibatch=512, hidden=(32, 32)),
-        rollouts=(8,),
+        rollouts=(4,),
     ),
     switch=replace(
         SwitchConfig(),

@@ -87,7 +87,7 @@ def write_new(path: Path, text: str) -> None:
 def write_bytes(path: Path, content: bytes) -> None:
     """Write a file of bytes as `write_text` writes text."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(path.name + ".partial")
+    partial = path.with_name(f"{path.name}.{os.getpid()}.partial")  # several may write at once
     try:
         partial.write_bytes(content)
         os.replace(partial, path)

@@ -24,7 +24,7 @@ def enable_compile_cache() -> Path | None:
             return None
         jax.config.update("jax_compilation_cache_dir", str(caches / "hybrid_jax"))
     if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     return Path(jax.config.jax_compilation_cache_dir)
 
 
@@ -35,3 +35,11 @@ def _caches() -> Path | None:
         return Path(folder) if folder else Path.home() / ".cache"
     except RuntimeError:
         return None
+
+
+def cache_folder() -> Path | None:
+    """Folder of JAX's compile cache; None where it is off or no folder of this machine."""
+    import jax
+
+    folder = jax.config.jax_compilation_cache_dir
+    return Path(folder) if folder and "://" not in folder else None

@@ -3,7 +3,7 @@
 
 from dataclasses import dataclass
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 from flax import struct
 from jax import Array
@@ -73,9 +73,9 @@ def build_library(demos: list[Demonstration]) -> SkillLibrary:
     free_slots = MAX_SKILLS - len(demos)
     filler = np.broadcast_to(np.array(dq.IDENTITY, np.float32), (free_slots, *poses.shape[1:]))
     return SkillLibrary(
-        poses=jnp.asarray(np.concatenate([poses, filler]), jnp.float32),
-        valid=jnp.arange(MAX_SKILLS) < len(demos),
-        closed=jnp.array([d.closed for d in demos] + [False] * free_slots),
+        poses=jax.device_put(np.concatenate([poses, filler]).astype(np.float32)),
+        valid=jax.device_put(np.arange(MAX_SKILLS) < len(demos)),
+        closed=jax.device_put(np.array([d.closed for d in demos] + [False] * free_slots)),
         names=tuple(d.name for d in demos),
     )
 
@@ -83,7 +83,7 @@ def build_library(demos: list[Demonstration]) -> SkillLibrary:
 def without(library: SkillLibrary, names: set[str]) -> SkillLibrary:
     """The library without the skills of some names; their slots become invalid."""
     # the names keep their places: the number of a skill is its slot
-    keep = jnp.array(
+    keep = np.array(
         [i >= len(library.names) or library.names[i] not in names for i in range(MAX_SKILLS)]
     )
     return library.replace(valid=library.valid & keep)

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.batching import padded_chunks
 from hybrid_jax.kernels.pose_paths import resample
+from hybrid_jax.runtime.kept_programs import kept
 from hybrid_jax.skills.feature_distance import BETAS, features
 from hybrid_jax.skills.library import SkillConfig, SkillLibrary
 from hybrid_jax.skills.mapping import MAPS
@@ -142,7 +143,7 @@ def _map_piece(
     return MAPS[mapping](resample(demos[skill, indices], points), start, goal)
 
 
-@functools.partial(jax.jit, static_argnums=(6, 7))
+@kept(static=("mapping", "points"))
 def _map_pieces(demos, skill, low, high, start, goal, mapping: str, points: int) -> Array:
     map_piece = functools.partial(_map_piece, mapping=mapping, points=points)
     return jax.vmap(map_piece, (None, 0, 0, 0, 0, 0))(demos, skill, low, high, start, goal)

@@ -5,12 +5,12 @@ import math
 from dataclasses import dataclass, field
 from typing import Annotated, ClassVar
 
-import jax
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from hybrid_jax.errors import WorkcellError
 from hybrid_jax.kernels.collision.clearance import clearance
+from hybrid_jax.runtime.kept_programs import kept
 from hybrid_jax.tasks.scene_sampling import require_kind, sample_scene
 from hybrid_jax.tasks.task import Task, as_dual_quats, home_pose, start_of
 from hybrid_jax.types import Workcell
@@ -28,7 +28,10 @@ AT_HOME = 1e-3
 ROOM = 0.01
 """Least clearance of a random start [m]."""
 
-_clearance = jax.jit(clearance)
+
+@kept
+def _clearance(cell: Workcell, q):
+    return clearance(cell, q)
 
 
 @dataclass(frozen=True)

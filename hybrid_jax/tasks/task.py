@@ -4,16 +4,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from hybrid_jax.errors import TaskError
-from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.kinematics import tool_pose
 from hybrid_jax.types import Workcell
-from hybrid_jax.workcell.poses import as_row, pose_row
+from hybrid_jax.workcell.poses import as_row, dual_quats, pose_row
 
 
 @dataclass(frozen=True)
@@ -141,8 +139,7 @@ def as_rows(poses: np.ndarray) -> np.ndarray:
 
 def as_dual_quats(poses: Sequence[RigidTransform]) -> np.ndarray:
     """Unit dual quaternions `[pose, 8]` of SciPy's poses, in float32."""
-    rows = np.stack([as_row(pose) for pose in poses]).astype(np.float32)
-    return np.asarray(dq.from_parts(jnp.asarray(rows[:, :3]), jnp.asarray(rows[:, 3:])))
+    return dual_quats(np.stack([as_row(pose) for pose in poses]))
 
 
 def start_of(cell: Workcell, start: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Which geoms and primitives of a cell must not touch: one rule for kernels and engines."""
 
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 
@@ -169,8 +168,8 @@ def contact_pairs(robot, slots, fixtures, objects, links, last_link, forbidden) 
         # a pair of two rows of the cover counts once, in the column of the first
         self_pairs[cover[:k], k] = 0
     return ContactPairs(
-        world=jnp.asarray(np.array(world, np.float32).reshape(len(rows), len(columns))),
-        own=jnp.asarray(self_pairs),
-        payload=jnp.asarray([float(p is None) for p in rows], jnp.float32),
+        world=np.array(world, np.float32).reshape(len(rows), len(columns)),
+        own=self_pairs,
+        payload=np.array([p is None for p in rows], np.float32),
         cover=tuple(cover),
     )

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The serial arm of an `MjModel` as a kinematic chain."""
 
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 
@@ -113,4 +112,4 @@ def kinematic_chain(model, data, layout) -> KinematicChain:
         _rates(model, layout, 0, DEFAULT_VELOCITY),
         _rates(model, layout, 1, DEFAULT_ACCELERATION),
     )
-    return KinematicChain(*(jnp.asarray(np.asarray(a, np.float32)) for a in arrays))
+    return KinematicChain(*(np.asarray(a, np.float32) for a in arrays))

@@ -5,7 +5,6 @@ import hashlib
 from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 
@@ -56,7 +55,7 @@ def _robot(model, data, layout, geoms, frames, links, tolerance):
     strokes = [_stroke(model, data, layout, p.geom, frames[links[p.geom]]) for p in primitives]
     return primitives, RobotShapes(
         shapes=geometry.to_shapes(primitives),
-        stroke=jnp.asarray(np.array(strokes, np.float32).reshape(-1, 3)),
+        stroke=np.array(strokes, np.float32).reshape(-1, 3),
         link=tuple(int(links[p.geom]) for p in primitives),
     )
 
@@ -83,8 +82,8 @@ def _scene(task: TaskData | None, objects, slots: tuple[int, ...], fixture_count
     return Scene(
         objects=geometry.to_shapes(objects),
         payload=geometry.to_shapes([], slots),
-        opening=jnp.float32(gripper.open if gripper else 0.0),
-        support_on=jnp.ones(fixture_count),
+        opening=np.float32(gripper.open if gripper else 0.0),
+        support_on=np.ones(fixture_count, np.float32),
     )
 
 
@@ -179,7 +178,7 @@ def compile_workcell(
         "fixtures": geometry.to_shapes(fixtures),
         "objects": scene.objects,
         "pairs": pairs,
-        "home": jnp.asarray(home_qpos(model)[list(layout.qpos)], jnp.float32),
+        "home": home_qpos(model)[list(layout.qpos)].astype(np.float32),
     }
     bodies = tuple(model.body(model.geom_bodyid[p.geom]).name for p in fixtures)
     source = WorkcellSource(
@@ -193,4 +192,5 @@ def compile_workcell(
         path=path,
         tool=tool,
     )
-    return Workcell(**arrays, scene=scene, source=source)
+    # made on the host and moved together: each operation on the device would be compiled
+    return jax.device_put(Workcell(**arrays, scene=scene, source=source))

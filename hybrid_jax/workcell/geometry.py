@@ -3,7 +3,6 @@
 
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -185,7 +184,7 @@ def to_shapes(items: list[Primitive], slots: tuple[int, ...] = ()) -> Shapes:
     for kind, span in enumerate(spans(slots)):
         for i, p in enumerate((p for p in items if p.kind == kind), start=span.start):
             pose[i], half[i], radius[i], active[i] = as_row(p.pose), p.half_extents, p.radius, 1.0
-    arrays = [jnp.asarray(np.asarray(a, np.float32)) for a in (pose, half, radius, active)]
+    arrays = [np.asarray(a, np.float32) for a in (pose, half, radius, active)]
     # a row that is read as a box is no ball, be it an empty slot
     balls = not rows_as_boxes(slots) and not any(any(p.half_extents) for p in items)
     return Shapes(*arrays, counts=slots, all_spheres=balls)

@@ -5,7 +5,7 @@ import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
-import jax.numpy as jnp
+import jax
 import mujoco
 import numpy as np
 
@@ -21,7 +21,7 @@ from hybrid_jax.workcell.compile import MESH_TOLERANCE, compile_workcell
 from hybrid_jax.workcell.description import read_task_data
 from hybrid_jax.workcell.home import free_home
 from hybrid_jax.workcell.layout import home_qpos
-from hybrid_jax.workcell.scene import place_objects
+from hybrid_jax.workcell.poses import as_row, of_rows
 from hybrid_jax.workcell.tool_frame import set_tool
 from hybrid_jax.workcell.urdf import read_urdf
 
@@ -159,6 +159,11 @@ def load_workcell(
     cell = compile_workcell(model, path.stem, task, mesh_tolerance, path, tool)
     for sentence in home_overlaps(model, cell.source.layout):
         raise WorkcellError(sentence)
-    home = home_qpos(model)
-    poses = [home[a : a + 7] for a in cell.source.layout.object_qpos]
-    return place_objects(cell, jnp.asarray(np.array(poses, np.float32).reshape(-1, 7)))
+    objects, home = cell.scene.objects, home_qpos(model)
+    bodies = np.array([home[a : a + 7] for a in cell.source.layout.object_qpos]).reshape(-1, 7)
+    if not objects.count:
+        return cell
+    owners = of_rows(bodies[list(cell.source.owners)])
+    rows = as_row(owners * of_rows(np.asarray(objects.pose, float))).astype(np.float32)
+    objects = objects.replace(pose=jax.device_put(rows))
+    return cell.replace(scene=cell.scene.replace(objects=objects))

@@ -20,8 +20,27 @@ def matrix_pose(position, matrix) -> RigidTransform:
 
 
 def as_row(pose: RigidTransform) -> np.ndarray:
-    """Position [m] and quaternion (w, x, y, z) of a SciPy pose, as one row `[7]`."""
-    return np.concatenate([pose.translation, pose.rotation.as_quat(scalar_first=True)])
+    """Position [m] and quaternion (w, x, y, z) of SciPy poses `[*b]`, as rows `[*b, 7]`."""
+    return np.concatenate([pose.translation, pose.rotation.as_quat(scalar_first=True)], axis=-1)
+
+
+def of_rows(rows: np.ndarray) -> RigidTransform:
+    """SciPy poses `[*b]` of rows `[*b, 7]`: position [m], quaternion (w, x, y, z)."""
+    return pose_of(rows[..., :3], rows[..., 3:])
+
+
+def dual_quats(rows: np.ndarray) -> np.ndarray:
+    """Unit dual quaternions `[*b, 8]` in float32 of rows `[*b, 7]`: position [m], quaternion."""
+    position, (w, x, y, z) = np.moveaxis(rows[..., :3], -1, 0), np.moveaxis(rows[..., 3:], -1, 0)
+    # half the product of the position, as a quaternion, and the rotation (paper, `t r / 2`)
+    a, b, c = position / 2
+    dual = [
+        -a * x - b * y - c * z,
+        a * w + b * z - c * y,
+        b * w + c * x - a * z,
+        c * w + a * y - b * x,
+    ]
+    return np.concatenate([rows[..., 3:], np.stack(dual, axis=-1)], axis=-1).astype(np.float32)
 
 
 def pose_row(pose: np.ndarray) -> np.ndarray:

@@ -33,6 +33,7 @@ from hybrid_jax.kernels.collision.rounded_boxes import (
     world_count,
 )
 from hybrid_jax.kernels.kinematics import link_frames
+from hybrid_jax.runtime.kept_programs import kept
 from hybrid_jax.types import Shapes, Workcell
 
 _MEASURED = (5, 6)
@@ -219,7 +220,7 @@ def _slope(against, primals, tangents):
 
 
 @checks(q=configuration)
-@jax.jit
+@kept
 def clearances(cell: Workcell, q: Float[Array, " n"]) -> Float[Array, "2"]:
     """Smallest signed distances to the world and of the robot to itself; see `clearance`.
 
@@ -237,7 +238,7 @@ def clearances(cell: Workcell, q: Float[Array, " n"]) -> Float[Array, "2"]:
 
 
 @checks(q=configuration)
-@jax.jit
+@kept
 def clearance(cell: Workcell, q: Float[Array, " n"]) -> Float[Array, ""]:
     """Smallest signed distance of the robot and its payload to anything else or itself [m].
 
@@ -257,7 +258,7 @@ def clearance(cell: Workcell, q: Float[Array, " n"]) -> Float[Array, ""]:
 
 
 @checks(q=configuration)
-@jax.jit
+@kept
 def closest(cell: Workcell, q: Float[Array, " n"]) -> tuple[Float[Array, ""], Bool[Array, ""]]:
     """Clearance `[]` [m] of a configuration `[joint]`, and whether the robot itself is nearest."""
     nearest = _CLOSEST["all"](cell, q)
@@ -265,7 +266,7 @@ def closest(cell: Workcell, q: Float[Array, " n"]) -> tuple[Float[Array, ""], Bo
 
 
 @checks(q=configuration)
-@jax.jit
+@kept
 def clearance_up_to(
     cell: Workcell, q: Float[Array, " n"], enough: float | Array
 ) -> Float[Array, ""]:

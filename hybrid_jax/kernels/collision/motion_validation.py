@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float
 from hybrid_jax.kernels.argument_checks import checks, configuration
 from hybrid_jax.kernels.collision.clearance import clearance, clearance_up_to
 from hybrid_jax.kernels.collision.rounded_boxes import local_shapes, row_links
+from hybrid_jax.runtime.kept_programs import kept
 from hybrid_jax.types import Scene, Workcell
 
 PIECE = 0.1
@@ -63,7 +64,7 @@ def motion_reach(cell: Workcell) -> Float[Array, " n"]:
 
 
 @checks(start=configuration, end=configuration)
-@jax.jit
+@kept
 def edge_is_free(
     cell: Workcell,
     start: Float[Array, " n"],
@@ -108,13 +109,13 @@ def edge_is_free(
     return least >= margin + tolerance, least
 
 
-@jax.jit
+@kept
 def _batch_clearance(cell: Workcell, scene: Scene, q: Float[Array, "point n"], enough: Array):
     scene_cell = cell.replace(scene=scene)
     return jax.vmap(lambda x: clearance_up_to(scene_cell, x, enough))(q)
 
 
-@jax.jit
+@kept
 def _scene_clearance(cell: Workcell, scenes: Scene, q: Float[Array, "point n"], enough: Array):
     gap = lambda scene, x: clearance_up_to(cell.replace(scene=scene), x, enough)  # noqa: E731
     return jax.vmap(gap)(scenes, q)
@@ -246,12 +247,12 @@ def _prove(
         gaps[:-1, 1] = np.where(inner[1:], gaps[1:, 0], gaps[:-1, 1])
 
 
-@jax.jit
+@kept
 def _reach(cell: Workcell, scene: Scene) -> Array:
     return motion_reach(cell.replace(scene=scene))
 
 
-@jax.jit
+@kept
 def _reaches(cell: Workcell, scenes: Scene) -> Array:
     return jax.vmap(lambda scene: motion_reach(cell.replace(scene=scene)))(scenes)
 
