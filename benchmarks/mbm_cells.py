@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 
 from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.compile import compile_workcell
-from hybrid_jax.workcell.shape_padding import unify_shapes
 
 ACCELERATIONS = (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0)
 """Limits of the Panda's joints, by its maker's data sheet [rad/s^2]."""
@@ -89,7 +88,7 @@ def _add_obstacles(spec: mujoco.MjSpec, data: dict, i: int) -> None:
 
 
 def read_problems(folder: Path, every: int = 1) -> list[Problem]:
-    """The valid problems, or every n-th of each scene; the cells of a scene are unified.
+    """The valid problems, or every n-th of each scene.
 
     Raises:
         FileNotFoundError: the folder lacks the data.
@@ -101,7 +100,7 @@ def read_problems(folder: Path, every: int = 1) -> list[Problem]:
     found = []
     for scene in dict.fromkeys(data["name"][chosen]):
         here = [i for i in chosen if data["name"][i] == scene]
-        cells = unify_shapes([_compiled(robot, data, i) for i in here])
+        cells = [_compiled(robot, data, i) for i in here]
         found += [
             Problem(
                 str(scene),

@@ -135,24 +135,28 @@ class Bullet:
         self.bullet, self.cell = pybullet, cell
         pybullet.connect(pybullet.DIRECT)
         world = _primitives(cell.fixtures) + _primitives(cell.scene.objects)
-        fixed = [pybullet.createMultiBody(0, self._shapes([one])) for one in world]
+        fixed = {
+            column: pybullet.createMultiBody(0, self._shapes([one]))
+            for column, one in enumerate(world)
+            if one
+        }
         self.robot = self._robot(cell)
         self._filter(fixed)
         self.joints = cell.chain.axis.shape[0]
         self.limits = np.asarray(cell.joint_limits, float)
 
-    def _filter(self, fixed: list[int]) -> None:
-        """Switch off what may touch: the same pairs as in our tables."""
+    def _filter(self, fixed: dict[int, int]) -> None:
+        """Switch off what may touch, as our tables do; `fixed` holds the bodies by column."""
         pairs, links = self.cell.pairs, np.array(row_links(self.cell))
         world, own = np.asarray(pairs.world), np.asarray(pairs.own)
         switch = self.bullet.setCollisionFilterPair
         for link in set(links):
-            for column, body in enumerate(fixed):
+            for column, body in fixed.items():
                 if not world[links == link, column].any():
                     switch(self.robot, body, int(link), -1, 0)
             for other in set(links):
-                columns = links[list(pairs.cover)] == other
-                back = links[list(pairs.cover)] == link
+                columns = links[np.asarray(pairs.cover)] == other
+                back = links[np.asarray(pairs.cover)] == link
                 if not (own[links == link][:, columns].any() or own[links == other][:, back].any()):
                     switch(self.robot, self.robot, int(link), int(other), 0)
 
@@ -173,8 +177,8 @@ class Bullet:
 
     def _robot(self, cell: Workcell) -> int:
         p, chain = self.bullet, cell.chain
-        links = row_links(cell)
-        ones = _primitives(local_shapes(cell), every=True)
+        links = np.asarray(row_links(cell)).tolist()
+        ones = _primitives(local_shapes(cell))
         offset, tool = np.asarray(chain.offset, float), np.asarray(chain.tool, float)
         count = len(offset)
         shapes = [
@@ -245,8 +249,8 @@ def _xyzw(quat) -> list[float]:
     return [x, y, z, w]
 
 
-def _primitives(shapes, every: bool = False) -> list:
-    """(kind, radius, length, half extents, position, orientation) of a list of primitives."""
+def _primitives(shapes) -> list:
+    """(kind, radius, length, half extents, position, orientation) of each; None of empty slots."""
     found, kinds = [], [KINDS[kind].name for kind in kinds_of(shapes.counts)]
     for i in range(shapes.count):
         pose, half = np.asarray(shapes.pose[i], float), np.asarray(shapes.half_extents[i], float)
@@ -254,7 +258,7 @@ def _primitives(shapes, every: bool = False) -> list:
         kind = "box" if kinds[i] != "capsule" else "capsule" if half[2] > 0 else "sphere"
         one = (kind, radius, 2 * half[2], half, pose[:3], _xyzw(pose[3:]))
         found.append(one if float(shapes.active[i]) > 0 else None)
-    return found if every else [one for one in found if one]
+    return found
 
 
 def bullet(cell: Workcell) -> Bullet | None:

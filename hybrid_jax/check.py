@@ -79,8 +79,8 @@ def look_at_home(cell) -> tuple[list, list[str]]:
         note = f"clearance at home {1e3 * gap:.0f} mm"
     line = (
         f"fit to plan in: {len(cell.joint_names)} joints, tool {_tool(cell)}, "
-        f"{cell.robot.shapes.count} primitives of the robot, {cell.fixtures.count} of fixtures, "
-        f"{cell.objects.count} of its {len(cell.source.layout.object_names)} objects; {note}"
+        f"{cell.robot.shapes.used} primitives of the robot, {cell.fixtures.used} of fixtures, "
+        f"{cell.objects.used} of its {len(cell.source.layout.object_names)} objects; {note}"
     )
     return findings, [line]
 

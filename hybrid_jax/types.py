@@ -102,6 +102,11 @@ class Shapes(Record):
         """Number of primitives, empty slots among them."""
         return self.radius.shape[-1]
 
+    @property
+    def used(self) -> int:
+        """Number of primitives without empty slots; on the host."""
+        return int(np.count_nonzero(np.asarray(self.active)))
+
 
 PRIMITIVE_AXIS = {"pose": -2, "half_extents": -2, "radius": -1, "active": -1}
 """Axis of the primitives in each array of `Shapes`."""
@@ -115,8 +120,8 @@ class RobotShapes(Record):
     """Each in the frame of the link that carries it, sorted by link within each kind."""
     stroke: Array
     """`[n, 3]` displacement per metre of gripper opening, in the same frame; 0 but for fingers."""
-    link: tuple[int, ...] = struct.field(pytree_node=False)
-    """Number of the joint whose frame carries each primitive."""
+    link: AnyArray
+    """`[n]` number of the joint whose frame carries each primitive."""
 
 
 @pytree
@@ -133,8 +138,8 @@ class ContactPairs(Record):
     """`[row, cover]` against the robot's own primitives `cover`; each pair stands once."""
     payload: Array
     """`[row]` 1 for the slots of the payload."""
-    cover: tuple[int, ...] = struct.field(pytree_node=False)
-    """Rows that together belong to every pair of robot primitives that may touch."""
+    cover: AnyArray
+    """`[cover]` rows that together belong to every pair of robot primitives that may touch."""
 
 
 @pytree
@@ -163,6 +168,8 @@ class Workcell(Record):
     """Everything welded to the world, in the world."""
     objects: Shapes
     """Movable objects, each in its own body's frame."""
+    owners: AnyArray
+    """`[n]` number of the object that each primitive of `objects` belongs to; -1 of empty slots."""
     pairs: ContactPairs
     """What may touch what."""
     scene: Scene
@@ -170,7 +177,11 @@ class Workcell(Record):
     home: Array
     """`[joint]` configuration to start from [rad or m]."""
     source: "WorkcellSource" = struct.field(pytree_node=False)
-    """The host side of the cell: model, names, task data."""
+    """The host side of the cell: model, names, task data. None inside of kept programs."""
+
+    def for_programs(self) -> "Workcell":
+        """The cell without its host side: cells of one class have equal programs (`kept`)."""
+        return self.replace(source=None)
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -217,9 +228,9 @@ class WorkcellSource:
         self.task = task
         """`workcell.description.TaskData` or None: what is done in the cell."""
         self.owners: tuple[int, ...] = owners
-        """Object of each primitive of `Workcell.objects`."""
+        """Object of each primitive of `Workcell.objects`; -1 of empty slots."""
         self.fixture_bodies: tuple[str, ...] = fixture_bodies
-        """Body of each primitive of `Workcell.fixtures`."""
+        """Body of each primitive of `Workcell.fixtures`; empty strings for empty slots."""
 
     @property
     def joint_names(self) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from packaging.version import Version
 
 # The suite's time is that of compiling: quick code instead of fast code takes a third of it.
 # With XLA_FLAGS set, also to nothing, the tests run what users run.
-QUICK = ["--xla_backend_optimization_level=1"]
+QUICK = ["--xla_backend_optimization_level=0"]
 if Version(version("jaxlib")) < Version("0.11"):
     QUICK.append("--xla_cpu_use_fusion_emitters=false")  # a process ends at a flag XLA lacks
 os.environ.setdefault("XLA_FLAGS", " ".join(QUICK))

@@ -40,9 +40,9 @@ def configuration(name: str, value, cell) -> None:
     Raises:
         InputError: another shape, or a value that is not finite.
     """
-    joint_count = len(cell.joint_names)
-    description = f"a configuration of {', '.join(cell.joint_names)}"
-    _values(name, value, joint_count, description)
+    # programs see the cell without its names
+    joints = f"of {', '.join(cell.joint_names)}" if cell.source else "of the arm"
+    _values(name, value, cell.home.shape[-1], f"a configuration {joints}")
 
 
 def pose(name: str, value, cell) -> None:

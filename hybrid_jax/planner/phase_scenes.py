@@ -13,11 +13,11 @@ from hybrid_jax.tasks.task import Task
 from hybrid_jax.types import Scene, Workcell
 from hybrid_jax.workcell.layout import home_qpos
 from hybrid_jax.workcell.scene import (
-    attach,
+    attach_object,
     object_index,
-    place_objects,
+    place_primitives,
+    support_flags,
     with_opening,
-    with_support,
 )
 
 REACHING, CARRYING, LEAVING, TRANSFERRING = range(4)
@@ -34,38 +34,36 @@ def segment_kinds(task: Task) -> np.ndarray:
     return kinds
 
 
-@kept(static=("name", "support"))
+@kept
 def kind_scenes(
     cell: Workcell,
-    poses: Float[Array, "object 7"],
-    put: Float[Array, "7"],
+    bodies: Float[Array, "2 n 7"],
+    carried: Array,
     in_tool: Float[Array, "7"],
     openings: Float[Array, "2"],
-    *,
-    name: str,
-    support: tuple[str, ...],
+    support_on: Float[Array, " fixture"],
 ) -> Scene:
     """Scenes of the four kinds of segments, stacked in their order.
 
     Args:
         cell: the cell, in any scene.
-        poses: `[object, 7]` where the objects lie at first: position [m], quaternion.
-        put: `[7]` where the carried object lies in the end.
+        bodies: `[2, n, 7]` pose of the body of each primitive of an object, at first and in the
+            end: position [m], quaternion.
+        carried: `[]` number of the object to be carried.
         in_tool: `[7]` the carried object in the tool: position [m], quaternion.
         openings: `[2]` opening of each finger while nothing is held, and around the object [m].
-        name: object to be carried.
-        support: fixtures that it may touch where it is lifted and put down.
+        support_on: `[fixture]` 0 for those that the object may touch where it is lifted and put
+            down.
 
     Returns:
         Scenes with a leading axis `[kind]`.
     """
-    cell_before = with_opening(place_objects(cell, poses), openings[0])
-    held_cell = with_opening(attach(cell_before, name, in_tool), openings[1])
-    final_poses = poses.at[object_index(cell, name)].set(put)
-    cell_after = with_opening(place_objects(cell, final_poses), openings[0])
-    on_support, lifted = with_support(held_cell, support), with_support(held_cell, ())
+    before, after = (with_opening(place_primitives(cell, a), openings[0]).scene for a in bodies)
+    held = attach_object(cell.replace(scene=before), carried, in_tool)
+    lifted = with_opening(held, openings[1]).scene
+    lifted = lifted.replace(support_on=jnp.ones_like(support_on))
     # the kinds of segments are indices into this order
-    return stack_scenes([c.scene for c in (cell_before, on_support, cell_after, lifted)])
+    return stack_scenes([before, lifted.replace(support_on=support_on), after, lifted])
 
 
 def _opening_at_home(cell: Workcell) -> float:
@@ -83,9 +81,15 @@ def _opening(cell: Workcell, task: Task) -> float:
 
 
 @kept
-def _resting_scene(cell: Workcell, poses: Float[Array, "object 7"], opening: float) -> Scene:
-    """The scene with objects at `poses` `[object, 7]` while nothing is held."""
-    return with_opening(place_objects(cell, poses), opening).scene
+def _resting_scene(cell: Workcell, bodies: Float[Array, "n 7"], opening) -> Scene:
+    """The scene with the bodies of primitives at `[n, 7]` while nothing is held."""
+    return with_opening(place_primitives(cell, bodies), opening).scene
+
+
+def _bodies(cell: Workcell, poses: np.ndarray) -> np.ndarray:
+    """Pose `[n, 7]` of the body of each primitive, from those of the objects `[object, 7]`."""
+    # empty slots have the owner -1: some pose or other
+    return np.asarray(poses, np.float32).reshape(-1, 7)[list(cell.source.owners)]
 
 
 def task_scenes(cell: Workcell, task: Task) -> Scene:
@@ -94,21 +98,24 @@ def task_scenes(cell: Workcell, task: Task) -> Scene:
     Returns:
         Scenes with a leading axis `[segment]`, on the host.
     """
-    poses = jnp.asarray(task.object_poses, jnp.float32)
+    before = _bodies(cell, task.object_poses)
     if not any(task.carrying):
-        scene = jax.device_get(_resting_scene(cell, poses, _opening(cell, task)))
+        scene = jax.device_get(_resting_scene(cell, before, np.float32(_opening(cell, task))))
         count = len(task.carrying)
         return jax.tree.map(lambda a: np.broadcast_to(a, (count, *a.shape)), scene)
-    hold = task.require_hold()
-    put, in_tool, openings = (
-        jnp.asarray(values, jnp.float32)
-        for values in (task.placed_pose, hold.in_tool, (_opening(cell, task), hold.opening))
+    hold, index = task.require_hold(), object_index(cell, task.object_name)
+    final_poses = np.array(task.object_poses, np.float32)
+    final_poses[index] = task.placed_pose
+    stacked = kind_scenes(
+        cell,
+        np.stack([before, _bodies(cell, final_poses)]),
+        np.int32(index),
+        np.asarray(hold.in_tool, np.float32),
+        np.array([_opening(cell, task), hold.opening], np.float32),
+        support_flags(cell, hold.support),
     )
-    kind_stack = kind_scenes(
-        cell, poses, put, in_tool, openings, name=task.object_name, support=hold.support
-    )
-    kind_stack, kinds = jax.device_get(kind_stack), segment_kinds(task)
-    return jax.tree.map(lambda a: a[kinds], kind_stack)
+    stacked, kinds = jax.device_get(stacked), segment_kinds(task)
+    return jax.tree.map(lambda a: a[kinds], stacked)
 
 
 def phase_scene(cell: Workcell, task: Task, kind: int) -> PhaseScene:
@@ -144,13 +151,18 @@ def home_scene(cell: Workcell) -> PhaseScene:
 
 def in_scene(cell: Workcell, scene: PhaseScene) -> Workcell:
     """The cell for the kernels, in a scene that is described for the final check."""
-    if cell.source.layout.object_names:
-        cell = place_objects(cell, jnp.asarray(scene.poses, jnp.float32))
-    cell = with_opening(cell, scene.opening)
+    bodies, opening = _bodies(cell, scene.poses), np.float32(scene.opening)
     if scene.held is None:
-        return cell
-    in_tool = jnp.asarray(scene.held_in_tool, jnp.float32)
-    return with_support(attach(cell, scene.held, in_tool), scene.support)
+        return cell.replace(scene=_resting_scene(cell, bodies, opening))
+    scenes = kind_scenes(
+        cell,
+        np.stack([bodies, bodies]),
+        np.int32(object_index(cell, scene.held)),
+        np.asarray(scene.held_in_tool, np.float32),
+        np.array([opening, opening]),
+        support_flags(cell, scene.support),
+    )
+    return inside(cell, scenes, CARRYING)
 
 
 def inside(cell: Workcell, scenes: Scene, index: int) -> Workcell:

@@ -50,9 +50,10 @@ def _bad_hold(cell: Workcell, task: Task) -> str | None:
     in_tool = np.asarray(task.hold.in_tool, float)
     if in_tool.shape != (7,) or not np.isfinite(in_tool).all():
         return f"hold.in_tool must be 7 finite numbers, got {task.hold.in_tool!r}"
-    unknown = set(task.hold.support) - set(cell.source.fixture_bodies)
+    fixtures = set(cell.source.fixture_bodies) - {""}
+    unknown = set(task.hold.support) - fixtures
     if unknown:
-        known = ", ".join(sorted(set(cell.source.fixture_bodies)))
+        known = ", ".join(sorted(fixtures))
         return f"hold.support names {min(unknown)!r}; the fixtures are: {known}"
     return None
 

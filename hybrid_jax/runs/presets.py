@@ -9,6 +9,7 @@ from hybrid_jax.agents.joint import JointAgentConfig
 from hybrid_jax.agents.ppo import PpoConfig
 from hybrid_jax.agents.switching import SwitchConfig
 from hybrid_jax.envs.paper_reach import PaperReachConfig
+from hybrid_jax.envs.reach import ReachConfig
 from hybrid_jax.errors import UnknownNameError
 from hybrid_jax.feasibility.grid import MapConfig
 from hybrid_jax.planner.records import PlannerConfig
@@ -100,7 +101,9 @@ SMOKE = Preset(
     joint=replace(
         JointAgentConfig(),
         training=PpoConfig(steps=16_384, envs=64, unroll=32, minibatch=512, hidden=(32, 32)),
-        rollouts=(4,),
+        # an agent that has learned next to nothing goes on to the horizon
+        reach=ReachConfig(horizon=32),
+        rollouts=(2,),
     ),
     switch=replace(
         SwitchConfig(),

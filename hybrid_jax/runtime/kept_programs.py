@@ -45,7 +45,8 @@ def kept(
 
     Args:
         function: of pytrees of arrays. It must depend on its arguments alone: what it reads
-            elsewhere must be a constant of the package's source.
+            elsewhere must be a constant of the package's source. An argument that has a method
+            `for_programs` is replaced by its result.
         static: names of arguments that are part of the program. Their `repr` must tell all that the
             program depends on: frozen dataclasses, numbers, strings and tuples of them.
         compiler_options: called when a program is compiled, for options of XLA.
@@ -76,7 +77,8 @@ class KeptProgram:
         bound.apply_defaults()
         arguments = bound.arguments
         constants = tuple(arguments.pop(name) for name in self._static)
-        leaves, structure = jax.tree.flatten(dict(arguments))
+        shown = {name: _for_programs(value) for name, value in arguments.items()}
+        leaves, structure = jax.tree.flatten(shown)
         if any(_needs_jit(leaf) for leaf in leaves):
             return self._jitted(*args, **kwargs)
         shapes = tuple(_shape(leaf) for leaf in leaves)
@@ -108,6 +110,11 @@ class KeptProgram:
                 _write(path, exported)
         # what was just exported runs as it is read later: both have one entry in the compile cache
         return jax.jit(exported.call, compiler_options=options)
+
+
+def _for_programs(argument):
+    """An argument without what its programs do not depend on, if it says what that is."""
+    return argument.for_programs() if hasattr(argument, "for_programs") else argument
 
 
 def _needs_jit(leaf) -> bool:

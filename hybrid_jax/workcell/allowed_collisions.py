@@ -171,5 +171,5 @@ def contact_pairs(robot, slots, fixtures, objects, links, last_link, forbidden) 
         world=np.array(world, np.float32).reshape(len(rows), len(columns)),
         own=self_pairs,
         payload=np.array([p is None for p in rows], np.float32),
-        cover=tuple(cover),
+        cover=np.array(cover, np.int32),
     )

@@ -23,6 +23,7 @@ from hybrid_jax.workcell.layout import (
     home_qpos,
 )
 from hybrid_jax.workcell.poses import matrix_pose, pose_of
+from hybrid_jax.workcell.shape_padding import fill_up
 
 MESH_TOLERANCE = 5e-3
 """How far the boxes of a convex mesh may stand out of it, unless the caller allows more [m]."""
@@ -56,7 +57,7 @@ def _robot(model, data, layout, geoms, frames, links, tolerance):
     return primitives, RobotShapes(
         shapes=geometry.to_shapes(primitives),
         stroke=np.array(strokes, np.float32).reshape(-1, 3),
-        link=tuple(int(links[p.geom]) for p in primitives),
+        link=np.array([links[p.geom] for p in primitives], np.int32),
     )
 
 
@@ -152,7 +153,8 @@ def compile_workcell(
         tool: site that is the tool; as the task data say, or a usual name, if empty.
 
     Returns:
-        The cell with its objects in their bodies' frames: place them by `place_objects`.
+        The cell with its objects in their bodies' frames: place them by `place_objects`. Its lists
+        of primitives are filled up (`shape_padding`).
 
     Raises:
         WorkcellError: a geom that the kernels cannot represent, an arm without collision geoms,
@@ -192,5 +194,6 @@ def compile_workcell(
         path=path,
         tool=tool,
     )
+    cell = Workcell(**arrays, owners=np.array(owners, np.int32), scene=scene, source=source)
     # made on the host and moved together: each operation on the device would be compiled
-    return jax.device_put(Workcell(**arrays, scene=scene, source=source))
+    return jax.device_put(fill_up(cell))

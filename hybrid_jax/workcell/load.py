@@ -163,7 +163,7 @@ def load_workcell(
     bodies = np.array([home[a : a + 7] for a in cell.source.layout.object_qpos]).reshape(-1, 7)
     if not objects.count:
         return cell
-    owners = of_rows(bodies[list(cell.source.owners)])
+    owners = of_rows(bodies[list(cell.source.owners)])  # empty slots get the pose of the last
     rows = as_row(owners * of_rows(np.asarray(objects.pose, float))).astype(np.float32)
     objects = objects.replace(pose=jax.device_put(rows))
     return cell.replace(scene=cell.scene.replace(objects=objects))

@@ -5,12 +5,13 @@ Only values change, never shapes, so compiled programs serve the new scene as we
 """
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jaxtyping import Float
 
 from hybrid_jax.errors import UnknownNameError
 from hybrid_jax.kernels import dualquat as dq
-from hybrid_jax.kernels.collision.primitive_kinds import kinds_of, spans
+from hybrid_jax.kernels.collision.primitive_kinds import spans
 from hybrid_jax.types import PRIMITIVE_AXIS, Shapes, Workcell
 
 
@@ -28,8 +29,12 @@ def place_objects(cell: Workcell, poses: Float[Array, "object 7"]) -> Workcell:
         cell: any.
         poses: `[object, 7]` in the world: position [m], quaternion.
     """
-    objects = _moved(cell.objects, poses[jnp.array(cell.source.owners, int)])
-    return cell.replace(scene=cell.scene.replace(objects=objects))
+    return place_primitives(cell, jnp.asarray(poses)[cell.owners])
+
+
+def place_primitives(cell: Workcell, bodies: Float[Array, "n 7"]) -> Workcell:
+    """`place_objects` by the body's pose of each primitive `[n, 7]`: position [m], quaternion."""
+    return cell.replace(scene=cell.scene.replace(objects=_moved(cell.objects, bodies)))
 
 
 def object_index(cell: Workcell, name: str) -> int:
@@ -42,12 +47,6 @@ def object_index(cell: Workcell, name: str) -> int:
     if name not in names:
         raise UnknownNameError("object", name, names)
     return names.index(name)
-
-
-def _own(cell: Workcell, name: str) -> list[int]:
-    """Indices of the primitives of one object in `Workcell.objects`."""
-    k = object_index(cell, name)
-    return [i for i, owner in enumerate(cell.source.owners) if owner == k]
 
 
 def attach(cell: Workcell, name: str, object_in_tool: Float[Array, "7"]) -> Workcell:
@@ -63,21 +62,25 @@ def attach(cell: Workcell, name: str, object_in_tool: Float[Array, "7"]) -> Work
     Raises:
         UnknownNameError: no such object.
     """
-    rows, slots = _own(cell, name), cell.scene.payload
+    return attach_object(cell, object_index(cell, name), object_in_tool)
+
+
+def attach_object(
+    cell: Workcell, index: int | Array, object_in_tool: Float[Array, "7"]
+) -> Workcell:
+    """`attach` by the object's number `[]`."""
+    slots, own = cell.scene.payload, cell.owners == index
     shapes = _moved(cell.objects, jnp.broadcast_to(object_in_tool, (cell.objects.count, 7)))
-    kinds = kinds_of(shapes.counts)
-    free = [iter(range(span.start, span.stop)) for span in spans(slots.counts)]
-    # each primitive takes the next of the payload's slots for its kind
-    targets = jnp.array([next(free[kinds[i]]) for i in rows], int)
-    sources = jnp.array(rows, int)
-    filled = {
-        name: getattr(slots, name).at[targets].set(getattr(shapes, name)[sources])
-        for name in PRIMITIVE_AXIS
-        if name != "active"
-    }
-    payload = slots.replace(**filled, active=jnp.zeros_like(slots.active).at[targets].set(1.0))
+    rows = []
+    for kind, free in zip(spans(shapes.counts), spans(slots.counts), strict=True):
+        # the object's primitives come first; others fill the slots that it leaves empty
+        own_first = jnp.argsort(~own[kind], stable=True)[: free.stop - free.start]
+        rows.append(kind.start + own_first)
+    row = jnp.concatenate(rows)
+    filled = {name: getattr(shapes, name)[row] for name in PRIMITIVE_AXIS if name != "active"}
+    payload = slots.replace(**filled, active=own[row].astype(slots.active.dtype))
     objects = cell.scene.objects
-    objects = objects.replace(active=objects.active.at[jnp.array(rows, int)].set(0.0))
+    objects = objects.replace(active=jnp.where(own, 0.0, objects.active))
     return cell.replace(scene=cell.scene.replace(objects=objects, payload=payload))
 
 
@@ -92,11 +95,12 @@ def detach(cell: Workcell, name: str, pose: Float[Array, "7"]) -> Workcell:
     Raises:
         UnknownNameError: no such object.
     """
-    rows = jnp.array(_own(cell, name), int)
+    own = cell.owners == object_index(cell, name)
     placed = _moved(cell.objects, jnp.broadcast_to(pose, (cell.objects.count, 7)))
     objects, payload = cell.scene.objects, cell.scene.payload
     objects = objects.replace(
-        pose=objects.pose.at[rows].set(placed.pose[rows]), active=objects.active.at[rows].set(1.0)
+        pose=jnp.where(own[:, None], placed.pose, objects.pose),
+        active=jnp.where(own, 1.0, objects.active),
     )
     payload = payload.replace(active=jnp.zeros_like(payload.active))
     return cell.replace(scene=cell.scene.replace(objects=objects, payload=payload))
@@ -117,9 +121,14 @@ def with_support(cell: Workcell, bodies: tuple[str, ...]) -> Workcell:
     Raises:
         UnknownNameError: no such fixture.
     """
+    support_on = jnp.asarray(support_flags(cell, bodies))
+    return cell.replace(scene=cell.scene.replace(support_on=support_on))
+
+
+def support_flags(cell: Workcell, bodies: tuple[str, ...]) -> np.ndarray:
+    """`Scene.support_on` `[fixture]` for the fixtures of some bodies, see `with_support`."""
     fixture_bodies = cell.source.fixture_bodies
     for body in bodies:
-        if body not in fixture_bodies:
-            raise UnknownNameError("fixture", body, set(fixture_bodies))
-    support_on = jnp.array([0.0 if b in bodies else 1.0 for b in fixture_bodies], jnp.float32)
-    return cell.replace(scene=cell.scene.replace(support_on=support_on))
+        if not body or body not in fixture_bodies:
+            raise UnknownNameError("fixture", body, set(fixture_bodies) - {""})
+    return np.array([body not in bodies for body in fixture_bodies], np.float32)

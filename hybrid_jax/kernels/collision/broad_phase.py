@@ -7,6 +7,7 @@ where a value has several uses: their operands are computed once, while XLA's CP
 a fused expression for each use.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -121,10 +122,16 @@ def row_bounds(rows: Rows, blocks: RoundedBoxes, pairing: Pairing, best: Array) 
             best, column_bound + barred_column[:, None] + pairing.payload[:, None] * support_column
         )
 
-    return jax.lax.fori_loop(0, count, step, best, unroll=unrolled(count))
+    return over_columns(count, step, best)
 
 
-def unrolled(count: int) -> int:
-    """Number of columns that one pass over the rows takes: a divisor of `count`, at most 4."""
-    # `count > n` leaves at least two passes: unrolled altogether, the loop would be none
-    return next(n for n in (4, 3, 2, 1) if count % n == 0 and (count > n or n == 1))
+def over_columns(count: int, step: Callable, state):
+    """`lax.fori_loop` over columns, four of them in one pass over the rows.
+
+    The last pass may go on beyond the last column. Indices are cut off there, so `step` sees that
+    column again; it must not mind.
+    """
+    # at least two passes: unrolled altogether, the loop would be none
+    unroll = min(4, -(-count // 2))
+    passes = -(-count // max(unroll, 1))
+    return jax.lax.fori_loop(0, passes * unroll, step, state, unroll=unroll or None)

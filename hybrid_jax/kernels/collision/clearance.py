@@ -179,8 +179,8 @@ def pair_distance(
     """
     chain = jax.tree.map(lambda a: a[None], cell.chain)
     positions, rotations = (a[..., 0] for a in link_frames(chain, q[None]))
-    shapes, links = local_shapes(cell), jnp.array(row_links(cell))
-    cover = jnp.array(cell.pairs.cover + (0,))
+    shapes, links = local_shapes(cell), row_links(cell)
+    cover = jnp.append(cell.pairs.cover, 0)
 
     def on_robot(index):
         return _block(shapes, positions[:, links[index]], rotations[:, :, links[index]], index)

@@ -54,7 +54,7 @@ def motion_reach(cell: Workcell) -> Float[Array, " n"]:
     count = step.size
     distance_along = jnp.concatenate([jnp.cumsum(step), jnp.sum(step)[None]])
     tool = jnp.linalg.norm(chain.tool[:3])
-    links = jnp.array(row_links(cell))
+    links = row_links(cell)
     tip_distance = distance_along[links] + jnp.where(links == count, tool, 0.0) + extent
     is_moved = links[None] >= jnp.arange(count)[:, None]
     reach = jnp.max(

@@ -15,9 +15,9 @@ from jax import Array
 
 from hybrid_jax.kernels.collision.broad_phase import (
     column_of,
+    over_columns,
     pair_bound,
     pair_flags,
-    unrolled,
 )
 from hybrid_jax.kernels.collision.distance import FAR
 from hybrid_jax.kernels.collision.primitive_kinds import PAIRS
@@ -234,7 +234,7 @@ def around(rows: Rows, own: RoundedBoxes, groups) -> Nearest:
             counted_gap = jnp.where(counts[i] > 0, column_gap, FAR)
             return jnp.minimum(best, counted_gap), jnp.where(counted_gap < best, first + i, column)
 
-        state = jax.lax.fori_loop(0, count, step, state, unroll=unrolled(count))
+        state = over_columns(count, step, state)
         first += count
     best, column = state
     gaps, row, _ = _smallest(best, 1)

@@ -5,8 +5,10 @@ Rows are the robot's and the payload's primitives, kind by kind (`primitive_kind
 obstacles. In shapes `b` is the batch, or 1 for what all of it shares.
 """
 
+import functools
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -15,7 +17,7 @@ from hybrid_jax.kernels.collision.distance import FAR
 from hybrid_jax.kernels.collision.primitive_kinds import KINDS, joined_order, rows_as_boxes, spans
 from hybrid_jax.kernels.kinematics import link_frames
 from hybrid_jax.kernels.vec3 import Vector
-from hybrid_jax.types import PRIMITIVE_AXIS, KinematicChain, Shapes, Workcell
+from hybrid_jax.types import PRIMITIVE_AXIS, Shapes, Workcell
 
 
 class RoundedBoxes(NamedTuple):
@@ -101,17 +103,16 @@ def local_shapes(cell: Workcell) -> Shapes:
     return join(opened, cell.scene.payload)
 
 
-def row_links(cell: Workcell) -> list[int]:
-    """Number of the frame that carries each row: a joint's, or that of the tool, the last one."""
+def row_links(cell: Workcell) -> Array:
+    """Number `[row]` of the frame that carries each row: a joint's, or the tool's, the last one.
+
+    A batch axis of the cell, of 1, is dropped: a batch shares its robot.
+    """
     robot, payload = cell.robot.shapes, cell.scene.payload
-    robot_links = list(cell.robot.link)
-    tool_links = [_joints(cell.chain)] * payload.count
+    link = jnp.reshape(cell.robot.link, robot.count)
+    tool_links = jnp.full(payload.count, cell.chain.axis.shape[-2], link.dtype)
     order = joined_order(robot.counts, payload.counts)
-    return [(robot_links + tool_links)[i] for i in order]
-
-
-def _joints(chain: KinematicChain) -> int:
-    return chain.axis.shape[-2]
+    return jnp.concatenate([link, tool_links])[jnp.array(order, int)]
 
 
 def _radius(shapes: Shapes) -> Array:
@@ -154,10 +155,11 @@ def robot_rows(cell: Workcell, q: Array) -> tuple[Rows, RoundedBoxes]:
         q: `[b, joint]` [rad or m].
 
     Returns:
-        All rows, leaves `[..., row, b]`, and the blocks of `block_rows`, leaves `[..., n, b]`.
+        All rows, leaves `[..., row, b]`, and as blocks the cover of the self pairs, then the rows
+        of the kinds that are read as boxes, leaves `[..., n, b]`; see `split_blocks`.
     """
     shapes = local_shapes(cell)
-    links, box_rows = jnp.array(row_links(cell)), block_rows(cell)
+    links, box_rows = row_links(cell), rows_as_boxes(row_counts(cell))
     positions, rotations = link_frames(cell.chain, q)
     positions, to_world = (jnp.take(a, links, axis=-2, mode="clip") for a in (positions, rotations))
     centre, rotation, half = _local(shapes)
@@ -168,35 +170,38 @@ def robot_rows(cell: Workcell, q: Array) -> tuple[Rows, RoundedBoxes]:
     # a capsule lies along the z axis of its frame
     rows = Rows(centre, vec3.stack(axes[2]), extent, radius)
     parts = (centre, to_world, vec3.stack(rotation), half, extent, radius)
-    centre, to_world, rotation, half, extent, radius = (_some(a, box_rows) for a in parts)
+    centre, to_world, rotation, half, extent, radius = (
+        jnp.concatenate([_some(a, cover(cell)), _some(a, box_rows)], axis=-2) for a in parts
+    )
     axes = [vec3.turn(to_world, rotation[:, k]) for k in range(3)]
     rotation = vec3.stack([[axes[k][i] for k in range(3)] for i in range(3)])
     return rows, RoundedBoxes(centre, rotation, half, extent, radius)
 
 
-def _some(array: Array, rows: list[int]) -> Array:
+def _some(array: Array, rows: list[int] | Array) -> Array:
     """Rows `[..., n, b]` by their numbers, as slices: a CPU copies these faster than it gathers."""
-    if not rows:
+    if not len(rows):
         return array[..., :0, :]
-    return jnp.stack([array[..., r, :] for r in rows], axis=-2)
+    take = functools.partial(jax.lax.dynamic_index_in_dim, array, axis=-2, keepdims=False)
+    return jnp.stack([take(r) for r in rows], axis=-2)
 
 
-def block_rows(cell: Workcell) -> list[int]:
-    """Numbers of the rows that are read as boxes: the cover of the self pairs, then some kinds."""
-    return list(cell.pairs.cover) + rows_as_boxes(row_counts(cell))
+def cover(cell: Workcell) -> Array:
+    """Rows `[cover]` of the cover of the self pairs, see `ContactPairs`; as in `row_links`."""
+    return jnp.reshape(cell.pairs.cover, cell.pairs.cover.shape[-1])
 
 
 def split_blocks(
     cell: Workcell, blocks: RoundedBoxes
 ) -> tuple[RoundedBoxes, list[RoundedBoxes | None]]:
-    """The blocks of `block_rows` apart: the cover, then those of each kind; None for no boxes.
+    """The blocks of `robot_rows` apart: the cover, then those of each kind; None for no boxes.
 
     Args:
         cell: the robot.
         blocks: leaves `[..., n, b]`.
     """
-    first = len(cell.pairs.cover)
-    cover = RoundedBoxes(*(a[..., :first, :] for a in blocks))
+    first = cell.pairs.cover.shape[-1]
+    cover_blocks = RoundedBoxes(*(a[..., :first, :] for a in blocks))
     by_kind: list[RoundedBoxes | None] = []
     for kind, count in zip(KINDS, row_counts(cell), strict=True):
         if kind.as_box:
@@ -205,7 +210,7 @@ def split_blocks(
             first += count
         else:
             by_kind.append(None)
-    return cover, by_kind
+    return cover_blocks, by_kind
 
 
 def row_counts(cell: Workcell) -> tuple[int, ...]:
