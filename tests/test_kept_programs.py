@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hybrid_jax.runtime import kept_programs
+from hybrid_jax.runtime import kept_programs, program_files
 from hybrid_jax.runtime.kept_programs import KeptProgram, kept
 from hybrid_jax.types import Status, Trajectory
 
@@ -84,13 +84,13 @@ def test_a_file_of_another_jax_is_made_anew(folder):
 
 def test_another_source_has_other_programs(folder, monkeypatch):
     fresh()(X)
-    monkeypatch.setattr(kept_programs, "_source_digest", lambda: "changed")
+    monkeypatch.setattr(program_files, "source_digest", lambda: "changed")
     assert same(fresh()(X)) and runs == [2, 2]
 
 
 def test_a_folder_that_cannot_be_written_costs_one_line(folder, capsys):
     folder.write_text("a file stands where the folder should be")
-    kept_programs._say_once.cache_clear()
+    program_files.say_once.cache_clear()
     assert same(fresh()(X)) and same(fresh()(X, times=3), 3)
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and str(folder) in said
@@ -109,7 +109,7 @@ def test_the_programs_that_were_not_used_for_longest_go_first(folder, monkeypatc
     for age, path in enumerate(reversed(files)):
         os.utime(path, (1e9 - age, 1e9 - age))
     fresh()(X, times=2)  # read, so that it is the youngest now
-    monkeypatch.setattr(kept_programs, "LIMIT", 3 * files[0].stat().st_size)
+    monkeypatch.setattr(program_files, "LIMIT", 3 * files[0].stat().st_size)
     fresh()(X, times=5)
     left = set(folder.iterdir())
     assert files[0] in left and files[1] not in left and files[2] in left
@@ -132,6 +132,23 @@ def test_results_may_be_records(folder):
 
 def record(x) -> Trajectory:
     return Trajectory(x, x + 1, x, x, x)
+
+
+def test_programs_are_loaded_ahead_for_what_took_them_before(folder, monkeypatch):
+    monkeypatch.setattr(kept_programs, "_noting", None)
+    kept_programs.load_ahead("a purpose")
+    assert same(fresh()(X)) and same(fresh()(X, times=3), 3)
+    (names,) = (path.read_text().split() for path in folder.glob("*.list"))
+    assert len(names) == 2 == len(list(folder.glob("*.program")))
+    monkeypatch.setattr(kept_programs, "_noting", None)
+    (folder / names[1]).unlink()  # a program that is gone is made anew
+    kept_programs.load_ahead("a purpose")
+    (loaded,) = kept_programs._ahead.values()
+    assert loaded.result() is not None
+    assert same(fresh()(X)) and not kept_programs._ahead and runs == [2, 3]
+    assert same(fresh()(X, times=3), 3) and runs == [2, 3, 3]
+    kept_programs.load_ahead("another purpose")
+    assert not kept_programs._ahead
 
 
 SCRIPT = """

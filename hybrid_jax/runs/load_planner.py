@@ -18,9 +18,11 @@ from hybrid_jax.planner.records import Planner, PlannerConfig
 from hybrid_jax.runs.presets import DEFAULT
 from hybrid_jax.runs.run_folder import Run
 from hybrid_jax.runtime import artifacts
+from hybrid_jax.runtime.kept_programs import load_ahead
 from hybrid_jax.skills.library import SkillLibrary, build_library
 from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.assets import demonstrations_folder
+from hybrid_jax.workcell.shape_padding import class_of
 
 
 @functools.lru_cache(maxsize=4)
@@ -140,6 +142,7 @@ def load_planner(run: Run, *, switch: str = "learned") -> Planner:
                 f"{run.folder}"
             )
     preset, cell = run.preset, run.cell
+    load_ahead(f"plan in a cell of {class_of(cell)} with {preset.planner}, {preset.joint}")
     return Planner(
         cell=cell,
         library=read_library(run.skills),

@@ -8,31 +8,24 @@ processes read it and trace nothing.
 """
 
 import functools
-import hashlib
 import inspect
-import os
 import threading
 from collections.abc import Callable
-from importlib.metadata import version
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import jax
-import numpy as np
 from jax import export
 from jax.core import Tracer
 
-from hybrid_jax.runtime.artifacts import write_bytes
-from hybrid_jax.runtime.compile_cache import cache_folder
+from hybrid_jax.runtime import program_files
 
-LIMIT = 256 * 2**20
-"""Largest total size of the files [bytes]; the ones that were not used for longest go first."""
 traced: list[str] = []
 """Names of the programs that this process had to trace, in order: those that no file held."""
 
-_CHECKSUM = hashlib.sha256().digest_size
-_ENDING = ".program"
-_PACKAGE = Path(__file__).resolve().parents[1]
+AT_ONCE, MOST_AHEAD = 2, 64
+"""Programs that are loaded ahead in parallel, and the most that a purpose is taken to need."""
 
 
 def kept(
@@ -94,8 +87,13 @@ class KeptProgram:
     def _make(self, structure, leaves: list, constants: tuple, key: tuple) -> Callable:
         """The program for arguments of one structure and shape, read or made."""
         options = self._compiler_options()
-        path = _path(self._function, key, options)
-        exported = path and _read(path)
+        about = f"{self._function.__module__}.{self._function.__qualname__}", key, options
+        path = program_files.file_of(self._function.__name__, about)
+        if path:
+            _note(path.name)
+            if (program := _taken(path)) is not None:
+                return program
+        exported = path and program_files.read(path)
         if not exported:
 
             def flat(*leaves):
@@ -107,7 +105,7 @@ class KeptProgram:
             traced.append(self._function.__qualname__)
             exported = export.export(jax.jit(flat))(*map(_abstract, leaves))
             if path:
-                _write(path, exported)
+                program_files.write(path, exported)
         # what was just exported runs as it is read later: both have one entry in the compile cache
         return jax.jit(exported.call, compiler_options=options)
 
@@ -121,12 +119,26 @@ def _needs_jit(leaf) -> bool:
     """Must JAX itself handle this argument: traced, or on other devices than the default one?"""
     if isinstance(leaf, Tracer):
         return True
-    return isinstance(leaf, jax.Array) and len(leaf.sharding.device_set) > 1
+    return isinstance(leaf, jax.Array) and leaf.sharding.device_set != _default_device()
+
+
+@functools.cache
+def _default_device() -> set:
+    return {jax.devices()[0]}
 
 
 def _shape(leaf) -> tuple:
-    dtype = leaf.dtype if hasattr(leaf, "dtype") else type(leaf)
-    return np.shape(leaf), dtype
+    """Shape and type of an argument, as programs are told apart."""
+    if hasattr(leaf, "dtype"):
+        return leaf.shape, _canonical(leaf.dtype, jax.config.read("jax_enable_x64"))
+    return (), type(leaf)
+
+
+@functools.cache
+def _canonical(dtype, x64: bool):
+    """The type as JAX takes it: without `x64`, float32 for float64."""
+    del x64  # a part of the cache's key
+    return jax.dtypes.canonicalize_dtype(dtype, allow_extended_dtype=True)
 
 
 def _abstract(leaf) -> jax.ShapeDtypeStruct:
@@ -135,82 +147,47 @@ def _abstract(leaf) -> jax.ShapeDtypeStruct:
     return jax.ShapeDtypeStruct(array.shape, array.dtype)
 
 
-@functools.cache
-def _source_digest() -> str:
-    """Hash of the package's source: a program is of one version of it."""
-    digest = hashlib.sha256()
-    for path in sorted(_PACKAGE.rglob("*.py")):
-        digest.update(str(path.relative_to(_PACKAGE)).encode())
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
+_ahead: dict[Path, Future] = {}
+"""Programs that are being loaded ahead of need, by their files."""
+_noting: Path | None = None
+"""List that takes the names of the programs that this process uses."""
 
 
-def _path(function: Callable, key: tuple, options: dict | None) -> Path | None:
-    """File of a program; None where nothing is kept."""
-    folder = cache_folder()
-    if folder is None:
+def load_ahead(purpose: str) -> None:
+    """Load in the background what a purpose took in earlier processes; note what it takes now.
+
+    Args:
+        purpose: name of what is about to be done, with all that decides which programs it takes.
+    """
+    global _noting
+    path = program_files.file_of("ahead", (purpose,), program_files.LIST)
+    if path is None or path == _noting:
+        return
+    _noting = path
+    pool = ThreadPoolExecutor(AT_ONCE, thread_name_prefix="programs")
+    for file in program_files.read_list(path)[:MOST_AHEAD]:
+        if file not in _ahead:
+            _ahead[file] = pool.submit(_load, file)
+    pool.shutdown(wait=False)
+
+
+def _load(path: Path) -> Callable | None:
+    """A program that is ready to run; None where its file is no good, or nobody needs it now."""
+    if not threading.main_thread().is_alive():  # the process ends, but for this thread
         return None
-    device = jax.devices()[0]
-    parts = (
-        f"{function.__module__}.{function.__qualname__}",
-        key,
-        options,
-        _source_digest(),
-        jax.__version__,
-        version("jaxlib"),
-        device.platform,
-        device.device_kind,
-        jax.config.jax_default_matmul_precision,
-        jax.config.jax_default_prng_impl,
-    )
-    digest = hashlib.sha256(repr(parts).encode()).hexdigest()
-    return folder / "programs" / f"{function.__name__}-{digest[:40]}{_ENDING}"
-
-
-def _read(path: Path) -> export.Exported | None:
-    """A kept program; None where there is none, or the file is damaged."""
-    try:
-        content = path.read_bytes()
-        if hashlib.sha256(content[_CHECKSUM:]).digest() != content[:_CHECKSUM]:
-            return None
-        exported = export.deserialize(bytearray(content[_CHECKSUM:]))
-        os.utime(path)  # tells when it was used last
-    except OSError:
+    exported = program_files.read(path)
+    if exported is None:
         return None
-    except Exception:  # made by a foreign version of JAX: errors of many classes
-        return None
-    return exported
+    shapes = [jax.ShapeDtypeStruct(aval.shape, aval.dtype) for aval in exported.in_avals]
+    return jax.jit(exported.call).lower(*shapes).compile()
 
 
-def _write(path: Path, exported: export.Exported) -> None:
-    """Keep a program, if the folder can be written."""
-    content = bytes(exported.serialize())
-    try:
-        write_bytes(path, hashlib.sha256(content).digest() + content)
-        _prune(path.parent)
-    except OSError as error:
-        _say_once(str(path.parent), error.strerror or str(error))
+def _taken(path: Path) -> Callable | None:
+    """The program of a file if it is being loaded ahead; one not begun is not waited for."""
+    future = _ahead.pop(path, None)
+    return None if future is None or future.cancel() else future.result()
 
 
-@functools.cache
-def _say_once(folder: str, reason: str) -> None:
-    from hybrid_jax.runtime.terminal import remark
-
-    remark(f"programs are not kept in {folder} ({reason}): they are traced again next time")
-
-
-def _prune(folder: Path) -> None:
-    """Remove the files that were not used for longest, down to `LIMIT`."""
-    files = []
-    for path in folder.glob(f"*{_ENDING}"):
-        try:
-            status = path.stat()
-        except FileNotFoundError:  # another process removed it
-            continue
-        files.append((status.st_mtime, status.st_size, path))
-    surplus = sum(size for _, size, _ in files) - LIMIT
-    for _, size, path in sorted(files, key=lambda file: file[0]):
-        if surplus <= 0:
-            break
-        path.unlink(missing_ok=True)
-        surplus -= size
+def _note(name: str) -> None:
+    if _noting is not None:
+        program_files.add_to_list(_noting, name)

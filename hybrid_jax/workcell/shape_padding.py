@@ -76,6 +76,22 @@ def _filled_pairs(
     )
 
 
+def class_of(cell: Workcell) -> str:
+    """Name of the class of a cell: cells with the same name run the same programs."""
+    robot, scene = cell.robot.shapes, cell.scene
+    lists = {
+        "robot": robot,
+        "payload": scene.payload,
+        "fixtures": cell.fixtures,
+        "objects": cell.objects,
+    }
+    sizes = [f"{name} {'+'.join(map(str, shapes.counts))}" for name, shapes in lists.items()]
+    balls = ", balls" if robot.all_spheres else ""
+    return ", ".join(
+        [f"{cell.home.shape[-1]} joints", *sizes, f"self {cell.pairs.cover.shape[-1]}{balls}"]
+    )
+
+
 def fill_up(cell: Workcell) -> Workcell:
     """The same cell with empty slots, of the class that it belongs to.
 
