@@ -25,6 +25,10 @@ def main(
     refuse_ending(out)
     import jax
 
+    from hybrid_jax.runtime.kept_programs import load_ahead
+
+    load_ahead(f"plan with the run {run.resolve()}")  # while the rest is imported
+
     from hybrid_jax.planner.pipeline import plan_motion
     from hybrid_jax.runs.load_planner import load_planner
     from hybrid_jax.runs.run_folder import open_run

@@ -135,13 +135,15 @@ def record(x) -> Trajectory:
 
 
 def test_programs_are_loaded_ahead_for_what_took_them_before(folder, monkeypatch):
-    monkeypatch.setattr(kept_programs, "_noting", None)
+    monkeypatch.setattr(kept_programs, "_noting", [])
+    # the module of this test is none of the package
+    monkeypatch.setattr(doubled, "__module__", "hybrid_jax.types")
     kept_programs.load_ahead("a purpose")
     assert same(fresh()(X)) and same(fresh()(X, times=3), 3)
-    (names,) = (path.read_text().split() for path in folder.glob("*.list"))
-    assert len(names) == 2 == len(list(folder.glob("*.program")))
-    monkeypatch.setattr(kept_programs, "_noting", None)
-    (folder / names[1]).unlink()  # a program that is gone is made anew
+    (lines,) = (path.read_text().splitlines() for path in folder.glob("*.list"))
+    assert len(lines) == 2 == len(list(folder.glob("*.program")))
+    monkeypatch.setattr(kept_programs, "_noting", [])
+    (folder / lines[1].split()[0]).unlink()  # a program that is gone is made anew
     kept_programs.load_ahead("a purpose")
     (loaded,) = kept_programs._ahead.values()
     assert loaded.result() is not None
@@ -149,6 +151,33 @@ def test_programs_are_loaded_ahead_for_what_took_them_before(folder, monkeypatch
     assert same(fresh()(X, times=3), 3) and runs == [2, 3, 3]
     kept_programs.load_ahead("another purpose")
     assert not kept_programs._ahead
+
+
+def test_lists_name_programs_of_the_package_only(tmp_path):
+    (tmp_path / "a.program").write_text("")
+    lines = ["a.program hybrid_jax.types", "b.program hybrid_jax.types", "../a.program os", "a"]
+    (tmp_path / "x.list").write_text("\n".join(lines))
+    found = program_files.read_list(tmp_path / "x.list")
+    assert found == {tmp_path / "a.program": "hybrid_jax.types"} or found == {}
+    (tmp_path / "x.list").write_bytes(b"\xff\xfe")
+    assert program_files.read_list(tmp_path / "x.list") == {}
+
+
+def test_arrays_are_kept_and_made_anew_where_their_file_is_damaged(folder):
+    made = []
+
+    def make():
+        made.append(1)
+        return X
+
+    for _ in range(2):
+        np.testing.assert_array_equal(program_files.kept_array("x", (1,), make), X)
+    assert len(made) == 1
+    (path,) = folder.iterdir()
+    path.write_bytes(path.read_bytes()[:-1])
+    np.testing.assert_array_equal(program_files.kept_array("x", (1,), make), X)
+    np.testing.assert_array_equal(program_files.kept_array("x", (2,), make), X)
+    assert len(made) == 3
 
 
 SCRIPT = """

@@ -2,7 +2,6 @@
 """Filter a recording, and space its poses evenly, as a skill keeps them."""
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
 
 from hybrid_jax.demonstrations.demonstration import Demonstration
 from hybrid_jax.kernels.pose_paths import resample
@@ -48,6 +47,9 @@ def low_pass(times: np.ndarray, poses: np.ndarray, cutoff: float = CUTOFF) -> np
     rate = (_SAMPLES - 1) / (times[-1] - times[0])
     poses = np.stack([np.interp(even, times, column) for column in poses.T], axis=1)
     if cutoff < rate / 2:  # a filter's frequency lies below half the rate of the samples
+        # imported where it is needed: that takes longer than all the rest of a planner's start
+        from scipy.signal import butter, sosfiltfilt
+
         smooth = sosfiltfilt(butter(2, cutoff, fs=rate, output="sos"), poses, axis=0)
         # the filter is free at the ends, where the hand was most careful: put them back
         w = np.linspace(0, 1, _SAMPLES)[:, None]

@@ -7,7 +7,9 @@ process that needs such a program exports it (`jax.export`: StableHLO, nothing o
 processes read it and trace nothing.
 """
 
+import contextlib
 import functools
+import importlib
 import inspect
 import threading
 from collections.abc import Callable
@@ -20,6 +22,7 @@ from jax import export
 from jax.core import Tracer
 
 from hybrid_jax.runtime import program_files
+from hybrid_jax.runtime.compile_cache import enable_compile_cache
 
 traced: list[str] = []
 """Names of the programs that this process had to trace, in order: those that no file held."""
@@ -90,7 +93,7 @@ class KeptProgram:
         about = f"{self._function.__module__}.{self._function.__qualname__}", key, options
         path = program_files.file_of(self._function.__name__, about)
         if path:
-            _note(path.name)
+            _note(path.name, self._function.__module__)
             if (program := _taken(path)) is not None:
                 return program
         exported = path and program_files.read(path)
@@ -149,8 +152,8 @@ def _abstract(leaf) -> jax.ShapeDtypeStruct:
 
 _ahead: dict[Path, Future] = {}
 """Programs that are being loaded ahead of need, by their files."""
-_noting: Path | None = None
-"""List that takes the names of the programs that this process uses."""
+_noting: list[Path] = []
+"""Lists that take the names of the programs that this process uses."""
 
 
 def load_ahead(purpose: str) -> None:
@@ -159,22 +162,24 @@ def load_ahead(purpose: str) -> None:
     Args:
         purpose: name of what is about to be done, with all that decides which programs it takes.
     """
-    global _noting
+    enable_compile_cache()
     path = program_files.file_of("ahead", (purpose,), program_files.LIST)
-    if path is None or path == _noting:
+    if path is None or path in _noting:
         return
-    _noting = path
+    _noting.append(path)
     pool = ThreadPoolExecutor(AT_ONCE, thread_name_prefix="programs")
-    for file in program_files.read_list(path)[:MOST_AHEAD]:
+    for file, module in list(program_files.read_list(path).items())[:MOST_AHEAD]:
         if file not in _ahead:
-            _ahead[file] = pool.submit(_load, file)
+            _ahead[file] = pool.submit(_load, file, module)
     pool.shutdown(wait=False)
 
 
-def _load(path: Path) -> Callable | None:
+def _load(path: Path, module: str) -> Callable | None:
     """A program that is ready to run; None where its file is no good, or nobody needs it now."""
     if not threading.main_thread().is_alive():  # the process ends, but for this thread
         return None
+    with contextlib.suppress(ImportError):
+        importlib.import_module(module)  # it knows the classes of the results
     exported = program_files.read(path)
     if exported is None:
         return None
@@ -188,6 +193,6 @@ def _taken(path: Path) -> Callable | None:
     return None if future is None or future.cancel() else future.result()
 
 
-def _note(name: str) -> None:
-    if _noting is not None:
-        program_files.add_to_list(_noting, name)
+def _note(name: str, module: str) -> None:
+    for path in _noting:
+        program_files.add_to_list(path, name, module)

@@ -1,18 +1,21 @@
 # SPDX-License-Identifier: MIT
-"""Files of traced and lowered programs, beside the compile cache.
+"""Files of traced and lowered programs, and of arrays, beside the compile cache.
 
-A file holds a checksum and what `jax.export` wrote: StableHLO, nothing of Python's. One that is
-damaged or of another version of JAX counts as absent. Several processes may write at once: a file
-appears as a whole.
+A file holds a checksum and a content that Python does not execute: what `jax.export` wrote
+(StableHLO), or an array. One that is damaged or of another version of JAX counts as absent. Several
+processes may write at once: a file appears as a whole.
 """
 
 import functools
 import hashlib
+import io
 import os
+from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 
 import jax
+import numpy as np
 from jax import export
 
 from hybrid_jax.runtime.artifacts import write_bytes
@@ -20,8 +23,8 @@ from hybrid_jax.runtime.compile_cache import cache_folder
 
 LIMIT = 256 * 2**20
 """Largest total size of the files [bytes]; the ones that were not used for longest go first."""
-ENDING, LIST = ".program", ".list"
-"""Endings of the files of programs, and of lists of such files, one name a line."""
+ENDING, LIST, ARRAY = ".program", ".list", ".array"
+"""Endings of the files of programs, of lists of such files, one a line, and of arrays."""
 _CHECKSUM = hashlib.sha256().digest_size
 _PACKAGE = Path(__file__).resolve().parents[1]
 
@@ -63,24 +66,52 @@ def file_of(name: str, about: tuple, ending: str = ENDING) -> Path | None:
     return folder / "programs" / f"{name}-{digest[:40]}{ending}"
 
 
-def read(path: Path) -> export.Exported | None:
-    """A kept program; None where there is none, or the file is damaged."""
+def _content(path: Path) -> bytes | None:
+    """What a file holds; None where there is none, or it is damaged."""
     try:
         content = path.read_bytes()
-        if hashlib.sha256(content[_CHECKSUM:]).digest() != content[:_CHECKSUM]:
-            return None
-        exported = export.deserialize(bytearray(content[_CHECKSUM:]))
         os.utime(path)  # tells when it was used last
     except OSError:
         return None
+    is_whole = hashlib.sha256(content[_CHECKSUM:]).digest() == content[:_CHECKSUM]
+    return content[_CHECKSUM:] if is_whole else None
+
+
+def read(path: Path) -> export.Exported | None:
+    """A kept program; None where there is none, or the file is damaged."""
+    content = _content(path)
+    try:
+        return None if content is None else export.deserialize(bytearray(content))
     except Exception:  # made by a foreign version of JAX: errors of many classes
         return None
-    return exported
+
+
+def kept_array(name: str, about: tuple, make: Callable[[], np.ndarray]) -> np.ndarray:
+    """An array that is made once, and read from a file by later processes.
+
+    Args:
+        name: what the file's name begins with.
+        about: all that the array depends on, but for the package's source; by `repr`.
+        make: makes the array `[...]`.
+    """
+    path = file_of(name, about, ARRAY)
+    content = path and _content(path)
+    if content:
+        return np.load(io.BytesIO(content), allow_pickle=False)
+    array = make()
+    if path:
+        file = io.BytesIO()
+        np.save(file, array, allow_pickle=False)
+        _write(path, file.getvalue())
+    return array
 
 
 def write(path: Path, exported: export.Exported) -> None:
     """Keep a program; where the folder cannot be written, that is said once."""
-    content = bytes(exported.serialize())
+    _write(path, bytes(exported.serialize()))
+
+
+def _write(path: Path, content: bytes) -> None:
     try:
         write_bytes(path, hashlib.sha256(content).digest() + content)
         _prune(path.parent)
@@ -88,22 +119,29 @@ def write(path: Path, exported: export.Exported) -> None:
         say_once(str(path.parent), error.strerror or str(error))
 
 
-def read_list(path: Path) -> list[Path]:
-    """The files that a list names, in order; those that are gone are left out."""
+def read_list(path: Path) -> dict[Path, str]:
+    """The files that a list names, in order, and the module that each belongs to.
+
+    Files that are gone are left out, and lines that are no such pair.
+    """
     try:
-        names = path.read_text().splitlines()
+        lines = [line.split() for line in path.read_text().splitlines()]
     except (OSError, UnicodeDecodeError):
-        return []
-    files = [path.parent / Path(name).name for name in dict.fromkeys(names)]
-    return [file for file in files if file.suffix == ENDING and file.is_file()]
+        return {}
+    named = {path.parent / Path(line[0]).name: line[1] for line in lines if len(line) == 2}
+    return {
+        file: module
+        for file, module in named.items()
+        if file.suffix == ENDING and file.is_file() and module.startswith(f"{_PACKAGE.name}.")
+    }
 
 
-def add_to_list(path: Path, name: str) -> None:
-    """Append the name of a file to a list; where that is not possible, nothing is lost."""
+def add_to_list(path: Path, name: str, module: str) -> None:
+    """Append a file's name and module to a list; where that is not possible, nothing is lost."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("a") as file:  # one short line: written at once, also beside others
-            file.write(f"{name}\n")
+            file.write(f"{name} {module}\n")
     except OSError as error:
         say_once(str(path.parent), error.strerror or str(error))
 
@@ -120,7 +158,7 @@ def _prune(folder: Path) -> None:
     """Remove the files that were not used for longest, down to `LIMIT`."""
     files = []
     for path in folder.iterdir():
-        if path.suffix not in (ENDING, LIST):
+        if path.suffix not in (ENDING, LIST, ARRAY):
             continue
         try:
             status = path.stat()

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """The skill library: demonstrations, filtered and stacked, and the settings for using them."""
 
+import hashlib
 from dataclasses import dataclass
 
 import jax
@@ -13,6 +14,7 @@ from hybrid_jax.demonstrations.filtering import clean
 from hybrid_jax.demonstrations.splitting import at_gripper_events
 from hybrid_jax.errors import DemonstrationError, InputError, UnknownNameError
 from hybrid_jax.kernels import dualquat as dq
+from hybrid_jax.runtime.program_files import kept_array
 from hybrid_jax.skills.feature_distance import BETAS
 from hybrid_jax.skills.mapping import MAPS
 from hybrid_jax.types import Record, pytree
@@ -53,6 +55,10 @@ class SkillLibrary(Record):
     names: tuple[str, ...] = struct.field(pytree_node=False)
     """`[skill]` names of the skills, without the padding."""
 
+    def for_programs(self) -> "SkillLibrary":
+        """The library without names, for programs that all libraries share (`kept`)."""
+        return self.replace(names=())
+
 
 def build_library(demos: list[Demonstration]) -> SkillLibrary:
     """Filter demonstrations and stack them; where the gripper acts, one skill ends.
@@ -69,7 +75,9 @@ def build_library(demos: list[Demonstration]) -> SkillLibrary:
     demos = [part for demo in demos for part in at_gripper_events(demo)]
     if not 0 < len(demos) <= MAX_SKILLS:
         raise DemonstrationError(f"a library holds 1 to {MAX_SKILLS} skills, got {len(demos)}")
-    poses = np.stack([clean(d) for d in demos])
+    poses = kept_array(
+        "skills", (_digest(demos),), lambda: np.stack([clean(demo) for demo in demos])
+    )
     free_slots = MAX_SKILLS - len(demos)
     filler = np.broadcast_to(np.array(dq.IDENTITY, np.float32), (free_slots, *poses.shape[1:]))
     return SkillLibrary(
@@ -78,6 +86,16 @@ def build_library(demos: list[Demonstration]) -> SkillLibrary:
         closed=jax.device_put(np.array([d.closed for d in demos] + [False] * free_slots)),
         names=tuple(d.name for d in demos),
     )
+
+
+def _digest(demos: list[Demonstration]) -> str:
+    """Hash of all that skills are made of."""
+    digest = hashlib.sha256()
+    for demo in demos:
+        for values in (demo.times, demo.poses, demo.gripper):
+            digest.update(repr(np.shape(values)).encode())
+            digest.update(np.ascontiguousarray(values, np.float64).tobytes())
+    return digest.hexdigest()
 
 
 def without(library: SkillLibrary, names: set[str]) -> SkillLibrary:
