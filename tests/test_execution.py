@@ -180,16 +180,22 @@ def test_a_held_object_does_not_creep(gripping, engine, name):
 
 
 def test_mjx_grips_and_lifts_as_c_mujoco_does(gripping, sensed, engine):
+    """With the hammer: `block_1` tilts in MJX's grip by chance, as single precision rounds.
+
+    Starts that differ by 1e-7 rad leave it 0.4 to 25 mm from where C MuJoCo has it.
+    """
     found = []
     for one in (engine, DeviceEngine(sensed)):
-        plant, way = gripping("block_1")
+        plant, way = gripping("hammer")
+        start = plant.objects()
         drive([lift(plant, way, 0.05)], one)
         found.append(plant)
     host, device = found
     # float32 lets bodies in contact wander by millimetres
-    np.testing.assert_allclose(device.objects()[:, :3], host.objects()[:, :3], atol=1e-2)
-    assert device.objects()[3, 2] > 0.12 and host.objects()[3, 2] > 0.12
-    index = host.layout.object_names.index("block_1")
+    np.testing.assert_allclose(device.objects()[:, :3], host.objects()[:, :3], atol=5e-3)
+    index = host.layout.object_names.index("hammer")
+    lifted = [plant.objects()[index, 2] - start[index, 2] for plant in found]
+    assert min(lifted) > 0.05
     assert device.pads_on(index) and host.pads_on(index)
     assert abs(device.time - host.time) < 1e-9
 
