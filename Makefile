@@ -3,6 +3,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 TRAIN_ARGS ?=
+TESTS ?=
 
 .PHONY: train test slow tiny shapes check docs figures dist format clean
 
@@ -15,7 +16,7 @@ train: $(VENV)/.installed
 	$(BIN)/python -m hybrid_jax.train $(TRAIN_ARGS)
 
 test: $(VENV)/.installed
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest $(TESTS)
 
 slow: $(VENV)/.installed
 	XLA_FLAGS= $(BIN)/python -m pytest -n 0 -m slow

@@ -31,10 +31,12 @@ def main(
         quiet: print the answer only.
         json: print the answer as JSON.
     """
+    from hybrid_jax.runtime.devices import use_all_cores
     from hybrid_jax.workcell.assets import find_workcell
     from hybrid_jax.workcell.diagnosis import WRONG, diagnose
     from hybrid_jax.workcell.load import load_workcell
 
+    use_all_cores()  # as in training: compiled programs are of a number of devices
     path = find_workcell(cell)
     with working("check", "looking the model over", quiet):
         diagnosis = diagnose(path, tool=tool, package_paths=package_path)

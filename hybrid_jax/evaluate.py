@@ -47,10 +47,12 @@ def main(
     if runs < 1:
         raise InputError(f"--runs must be at least 1, got {runs}")
     from hybrid_jax.runs.run_folder import open_run
+    from hybrid_jax.runtime.devices import use_all_cores
     from hybrid_jax.studies.measures import as_table
     from hybrid_jax.studies.methods import make_method
     from hybrid_jax.studies.registry import study_of
 
+    use_all_cores()  # as in training: compiled programs are of a number of devices
     opened, papers = open_run(run), open_run(paper) if paper else None
     study = study_of(opened.cell)
     first = study.SEEDS.start if seed is None else seed

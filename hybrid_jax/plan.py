@@ -25,8 +25,10 @@ def main(
     refuse_ending(out)
     import jax
 
+    from hybrid_jax.runtime.devices import use_all_cores
     from hybrid_jax.runtime.kept_programs import load_ahead
 
+    use_all_cores()  # as in training: compiled programs are of a number of devices
     load_ahead(f"plan with the run {run.resolve()}")  # while the rest is imported
 
     from hybrid_jax.planner.pipeline import plan_motion

@@ -120,7 +120,7 @@ def _write(path: Path, content: bytes) -> None:
 
 
 def read_list(path: Path) -> dict[Path, str]:
-    """The files that a list names, in order, and the module that each belongs to.
+    """The files that a list names, the largest first, and the module that each belongs to.
 
     Files that are gone are left out, and lines that are no such pair.
     """
@@ -129,11 +129,12 @@ def read_list(path: Path) -> dict[Path, str]:
     except (OSError, UnicodeDecodeError):
         return {}
     named = {path.parent / Path(line[0]).name: line[1] for line in lines if len(line) == 2}
-    return {
-        file: module
+    there = [
+        (file.stat().st_size, file)
         for file, module in named.items()
         if file.suffix == ENDING and file.is_file() and module.startswith(f"{_PACKAGE.name}.")
-    }
+    ]
+    return {file: named[file] for _, file in sorted(there, reverse=True)}
 
 
 def add_to_list(path: Path, name: str, module: str) -> None:

@@ -29,7 +29,9 @@ def main(
             f"the page needs the package {error.name}: pip install 'hybrid_jax[view]'"
         ) from None
     from hybrid_jax.runs.run_folder import open_run
+    from hybrid_jax.runtime.devices import use_all_cores
 
+    use_all_cores()  # as in training: compiled programs are of a number of devices
     page = ViewPage(open_run(run), host, port, meshes)
     serve(page)
     return 0
