@@ -20,17 +20,16 @@ def main(
         quiet: print the answer only.
         json: print the answer as JSON.
     """
-    from hybrid_jax.export.files import refuse_ending, write_plan
-
-    refuse_ending(out)
     import jax
 
     from hybrid_jax.runtime.devices import use_all_cores
     from hybrid_jax.runtime.kept_programs import load_ahead
 
     use_all_cores()  # as in training: compiled programs are of a number of devices
-    load_ahead(f"plan with the run {run.resolve()}")  # while the rest is imported
+    load_ahead(f"plan with the run {run.resolve()}")  # while all the rest is imported
+    from hybrid_jax.export.files import refuse_ending, write_plan
 
+    refuse_ending(out)
     from hybrid_jax.planner.pipeline import plan_motion
     from hybrid_jax.runs.load_planner import load_planner
     from hybrid_jax.runs.run_folder import open_run

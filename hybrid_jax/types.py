@@ -6,14 +6,13 @@ dual quaternion `[8]` (see `kernels.dualquat`). Records hold one configuration; 
 """
 
 import enum
-import json
 from pathlib import Path
 from typing import TypeVar, dataclass_transform, no_type_check
 
 import mujoco
 import numpy as np
 from flax import struct
-from jax import Array, export
+from jax import Array
 
 T = TypeVar("T")
 AnyArray = Array | np.ndarray
@@ -27,20 +26,7 @@ def pytree(cls: type[T]) -> type[T]:
     Field annotations are for readers: JAX also rebuilds these classes around axis numbers,
     `None` and shape structs, so runtime type checkers must leave fields alone.
     """
-    record = no_type_check(struct.dataclass(cls))
-    # for programs that are kept on disk: their results may be records
-    export.register_pytree_node_serialization(
-        record,
-        serialized_name=f"{cls.__module__}.{cls.__qualname__}",
-        serialize_auxdata=lambda static: json.dumps(static).encode(),
-        deserialize_auxdata=lambda content: _as_tuples(json.loads(bytes(content))),
-    )
-    return record
-
-
-def _as_tuples(value):
-    """JSON lists as the tuples that they were."""
-    return tuple(map(_as_tuples, value)) if isinstance(value, list) else value
+    return no_type_check(struct.dataclass(cls))
 
 
 class Record:

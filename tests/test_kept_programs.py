@@ -8,10 +8,13 @@ import sys
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 import pytest
 
+from hybrid_jax.kernels.collision import narrow_phase
 from hybrid_jax.runtime import kept_programs, program_files
 from hybrid_jax.runtime.kept_programs import KeptProgram, kept
+from hybrid_jax.runtime.tree_descriptions import describe, structure_of
 from hybrid_jax.types import Status, Trajectory
 
 X = np.arange(6, dtype=np.float32).reshape(2, 3)
@@ -136,14 +139,12 @@ def record(x) -> Trajectory:
 
 def test_programs_are_loaded_ahead_for_what_took_them_before(folder, monkeypatch):
     monkeypatch.setattr(kept_programs, "_noting", [])
-    # the module of this test is none of the package
-    monkeypatch.setattr(doubled, "__module__", "hybrid_jax.types")
     kept_programs.load_ahead("a purpose")
     assert same(fresh()(X)) and same(fresh()(X, times=3), 3)
-    (lines,) = (path.read_text().splitlines() for path in folder.glob("*.list"))
-    assert len(lines) == 2 == len(list(folder.glob("*.program")))
+    (names,) = (path.read_text().split() for path in folder.glob("*.list"))
+    assert len(names) == 2 == len(list(folder.glob("*.program")))
     monkeypatch.setattr(kept_programs, "_noting", [])
-    (folder / lines[1].split()[0]).unlink()  # a program that is gone is made anew
+    (folder / names[1]).unlink()  # a program that is gone is made anew
     kept_programs.load_ahead("a purpose")
     (loaded,) = kept_programs._ahead.values()
     assert loaded.result() is not None
@@ -153,14 +154,25 @@ def test_programs_are_loaded_ahead_for_what_took_them_before(folder, monkeypatch
     assert not kept_programs._ahead
 
 
-def test_lists_name_programs_of_the_package_only(tmp_path):
+def test_lists_name_programs_in_their_folder_only(tmp_path):
     (tmp_path / "a.program").write_text("")
-    lines = ["a.program hybrid_jax.types", "b.program hybrid_jax.types", "../a.program os", "a"]
-    (tmp_path / "x.list").write_text("\n".join(lines))
-    found = program_files.read_list(tmp_path / "x.list")
-    assert found == {tmp_path / "a.program": "hybrid_jax.types"} or found == {}
+    (tmp_path / "x.list").write_text("a.program\nb.program\n../../a.program\n\nx.list")
+    assert program_files.read_list(tmp_path / "x.list") == [tmp_path / "a.program"]
     (tmp_path / "x.list").write_bytes(b"\xff\xfe")
-    assert program_files.read_list(tmp_path / "x.list") == {}
+    assert program_files.read_list(tmp_path / "x.list") == []
+
+
+def test_structures_are_described_and_only_those_of_the_package(cell):
+    shapes = jax.tree.map(np.asarray, cell.scene)
+    nearest = narrow_phase.Nearest(1, 2, 3, 4)
+    for tree in (None, 3, [X, (X, None)], {"b": X, "a": [X]}, shapes, (nearest, {"x": shapes})):
+        structure = jax.tree.structure(tree)
+        assert structure_of(describe(structure)) == structure
+    with pytest.raises(TypeError, match="none of hybrid_jax"):
+        describe(jax.tree.structure(optax.EmptyState()))
+    for wrong in ("", "[]", '["os:system", {}, {}]', '["hybrid_jax.types:Gone", {}, {}]', "[1, 2]"):
+        with pytest.raises(ValueError):
+            structure_of(wrong)
 
 
 def test_arrays_are_kept_and_made_anew_where_their_file_is_damaged(folder):

@@ -7,9 +7,7 @@ process that needs such a program exports it (`jax.export`: StableHLO, nothing o
 processes read it and trace nothing.
 """
 
-import contextlib
 import functools
-import importlib
 import inspect
 import threading
 from collections.abc import Callable
@@ -23,6 +21,7 @@ from jax.core import Tracer
 
 from hybrid_jax.runtime import program_files
 from hybrid_jax.runtime.compile_cache import enable_compile_cache
+from hybrid_jax.runtime.tree_descriptions import describe, structure_of
 
 traced: list[str] = []
 """Names of the programs that this process had to trace, in order: those that no file held."""
@@ -93,24 +92,27 @@ class KeptProgram:
         about = f"{self._function.__module__}.{self._function.__qualname__}", key, options
         path = program_files.file_of(self._function.__name__, about)
         if path:
-            _note(path.name, self._function.__module__)
-            if (program := _taken(path)) is not None:
-                return program
-        exported = path and program_files.read(path)
-        if not exported:
+            _note(path.name)
+        kept_one = path and (_taken(path) or _load(path, options))
+        if kept_one:
+            run, result_structure = kept_one
+            return lambda *leaves: jax.tree.unflatten(result_structure, run(*leaves))
+        results = []
 
-            def flat(*leaves):
-                arguments = jax.tree.unflatten(structure, leaves)
-                return self._function(
-                    **arguments, **dict(zip(self._static, constants, strict=True))
-                )
+        def flat(*leaves):
+            arguments = jax.tree.unflatten(structure, leaves)
+            result = self._function(**arguments, **dict(zip(self._static, constants, strict=True)))
+            flat_result, result_structure = jax.tree.flatten(result)
+            results[:] = [result_structure]
+            return flat_result
 
-            traced.append(self._function.__qualname__)
-            exported = export.export(jax.jit(flat))(*map(_abstract, leaves))
-            if path:
-                program_files.write(path, exported)
-        # what was just exported runs as it is read later: both have one entry in the compile cache
-        return jax.jit(exported.call, compiler_options=options)
+        traced.append(self._function.__qualname__)
+        exported = export.export(jax.jit(flat))(*map(_abstract, leaves))
+        if path:
+            program_files.write(path, exported, describe(results[0]))
+        # it runs as it is read later: both have one entry in the compile cache
+        run = jax.jit(exported.call, compiler_options=options)
+        return lambda *leaves: jax.tree.unflatten(results[0], run(*leaves))
 
 
 def _for_programs(argument):
@@ -168,31 +170,44 @@ def load_ahead(purpose: str) -> None:
         return
     _noting.append(path)
     pool = ThreadPoolExecutor(AT_ONCE, thread_name_prefix="programs")
-    for file, module in list(program_files.read_list(path).items())[:MOST_AHEAD]:
+    for file in program_files.read_list(path)[:MOST_AHEAD]:
         if file not in _ahead:
-            _ahead[file] = pool.submit(_load, file, module)
+            _ahead[file] = pool.submit(_load_ahead, file)
     pool.shutdown(wait=False)
 
 
-def _load(path: Path, module: str) -> Callable | None:
-    """A program that is ready to run; None where its file is no good, or nobody needs it now."""
+def _load_ahead(path: Path) -> tuple[Callable, str] | None:
+    """A program that is ready to run, and its description; None where its file is no good."""
     if not threading.main_thread().is_alive():  # the process ends, but for this thread
         return None
-    with contextlib.suppress(ImportError):
-        importlib.import_module(module)  # it knows the classes of the results
-    exported = program_files.read(path)
-    if exported is None:
+    found = program_files.read(path)
+    if found is None:
         return None
+    exported, description = found
     shapes = [jax.ShapeDtypeStruct(aval.shape, aval.dtype) for aval in exported.in_avals]
-    return jax.jit(exported.call).lower(*shapes).compile()
+    return jax.jit(exported.call).lower(*shapes).compile(), description
 
 
-def _taken(path: Path) -> Callable | None:
+def _taken(path: Path) -> tuple[Callable, Any] | None:
     """The program of a file if it is being loaded ahead; one not begun is not waited for."""
     future = _ahead.pop(path, None)
-    return None if future is None or future.cancel() else future.result()
+    found = None if future is None or future.cancel() else future.result()
+    return found and _with_structure(*found)
 
 
-def _note(name: str, module: str) -> None:
+def _load(path: Path, options: dict | None) -> tuple[Callable, Any] | None:
+    """The program of a file and the structure of its result; None where the file is no good."""
+    found = program_files.read(path)
+    return found and _with_structure(jax.jit(found[0].call, compiler_options=options), found[1])
+
+
+def _with_structure(run: Callable, description: str) -> tuple[Callable, Any] | None:
+    try:
+        return run, structure_of(description)
+    except ValueError:  # of classes that are no longer there
+        return None
+
+
+def _note(name: str) -> None:
     for path in _noting:
-        program_files.add_to_list(path, name, module)
+        program_files.add_to_list(path, name)

@@ -77,11 +77,14 @@ def _content(path: Path) -> bytes | None:
     return content[_CHECKSUM:] if is_whole else None
 
 
-def read(path: Path) -> export.Exported | None:
-    """A kept program; None where there is none, or the file is damaged."""
+def read(path: Path) -> tuple[export.Exported, str] | None:
+    """A kept program and its description; None where there is none, or the file is damaged."""
     content = _content(path)
+    if content is None:
+        return None
     try:
-        return None if content is None else export.deserialize(bytearray(content))
+        description, _, program = content.partition(b"\n")
+        return export.deserialize(bytearray(program)), description.decode()
     except Exception:  # made by a foreign version of JAX: errors of many classes
         return None
 
@@ -106,9 +109,9 @@ def kept_array(name: str, about: tuple, make: Callable[[], np.ndarray]) -> np.nd
     return array
 
 
-def write(path: Path, exported: export.Exported) -> None:
-    """Keep a program; where the folder cannot be written, that is said once."""
-    _write(path, bytes(exported.serialize()))
+def write(path: Path, exported: export.Exported, description: str) -> None:
+    """Keep a program, and one line about it; where that cannot be written, it is said once."""
+    _write(path, description.encode() + b"\n" + bytes(exported.serialize()))
 
 
 def _write(path: Path, content: bytes) -> None:
@@ -119,30 +122,23 @@ def _write(path: Path, content: bytes) -> None:
         say_once(str(path.parent), error.strerror or str(error))
 
 
-def read_list(path: Path) -> dict[Path, str]:
-    """The files that a list names, the largest first, and the module that each belongs to.
-
-    Files that are gone are left out, and lines that are no such pair.
-    """
+def read_list(path: Path) -> list[Path]:
+    """The files that a list names, the largest first; those that are gone are left out."""
     try:
-        lines = [line.split() for line in path.read_text().splitlines()]
+        names = path.read_text().splitlines()
     except (OSError, UnicodeDecodeError):
-        return {}
-    named = {path.parent / Path(line[0]).name: line[1] for line in lines if len(line) == 2}
-    there = [
-        (file.stat().st_size, file)
-        for file, module in named.items()
-        if file.suffix == ENDING and file.is_file() and module.startswith(f"{_PACKAGE.name}.")
-    ]
-    return {file: named[file] for _, file in sorted(there, reverse=True)}
+        return []
+    files = [path.parent / Path(name).name for name in names]
+    there = [file for file in dict.fromkeys(files) if file.suffix == ENDING and file.is_file()]
+    return sorted(there, key=lambda file: -file.stat().st_size)
 
 
-def add_to_list(path: Path, name: str, module: str) -> None:
-    """Append a file's name and module to a list; where that is not possible, nothing is lost."""
+def add_to_list(path: Path, name: str) -> None:
+    """Append the name of a file to a list; where that is not possible, nothing is lost."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("a") as file:  # one short line: written at once, also beside others
-            file.write(f"{name} {module}\n")
+            file.write(f"{name}\n")
     except OSError as error:
         say_once(str(path.parent), error.strerror or str(error))
 
