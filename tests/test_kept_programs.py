@@ -11,6 +11,7 @@ import numpy as np
 import optax
 import pytest
 
+from hybrid_jax.errors import InputError
 from hybrid_jax.kernels.collision import narrow_phase
 from hybrid_jax.runtime import kept_programs, program_files
 from hybrid_jax.runtime.kept_programs import KeptProgram, kept
@@ -116,6 +117,25 @@ def test_the_programs_that_were_not_used_for_longest_go_first(folder, monkeypatc
     fresh()(X, times=5)
     left = set(folder.iterdir())
     assert files[0] in left and files[1] not in left and files[2] in left
+
+
+def test_what_cannot_be_kept_runs_all_the_same(folder):
+    def asking(x):
+        return {"sum": jax.pure_callback(np.sum, jax.ShapeDtypeStruct((), x.dtype), x)}
+
+    program = kept(asking)
+    for _ in range(2):
+        assert program(X)["sum"] == X.sum()
+    assert not list(folder.glob("*.program"))
+
+
+def test_errors_of_the_function_are_its_own(folder):
+    def refusing(x):
+        raise InputError(f"{x.shape} is wrong")
+
+    for _ in range(2):
+        with pytest.raises(InputError, match="is wrong"):
+            kept(refusing)(X)
 
 
 def test_inside_other_programs_it_is_a_part_of_them(folder):

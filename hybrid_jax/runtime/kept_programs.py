@@ -34,7 +34,6 @@ def kept(
     function: Callable | None = None,
     *,
     static: tuple[str, ...] = (),
-    compiler_options: Callable[[], dict | None] = lambda: None,
 ) -> Callable[..., Any]:
     """Compile a function like `jax.jit`, and keep its traced program on disk.
 
@@ -44,28 +43,26 @@ def kept(
             `for_programs` is replaced by its result.
         static: names of arguments that are part of the program. Their `repr` must tell all that the
             program depends on: frozen dataclasses, numbers, strings and tuples of them.
-        compiler_options: called when a program is compiled, for options of XLA.
 
     Returns:
         A function of the same arguments; a decorator if `function` is None. Called while JAX traces
         it is as `jax.jit` makes it.
     """
     if function is None:
-        return functools.partial(kept, static=static, compiler_options=compiler_options)
-    return functools.wraps(function)(KeptProgram(function, static, compiler_options))
+        return functools.partial(kept, static=static)
+    return functools.wraps(function)(KeptProgram(function, static))
 
 
 class KeptProgram:
     """A function whose programs are kept: one for each structure and shape of its arguments."""
 
-    def __init__(self, function: Callable, static: tuple[str, ...], compiler_options: Callable):
+    def __init__(self, function: Callable, static: tuple[str, ...]):
         self._function = function
         self._static = static
-        self._compiler_options = compiler_options
         self._jitted = jax.jit(function, static_argnames=static)
         self._signature = inspect.signature(function)
         self._programs: dict[tuple, Callable] = {}
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
 
     def __call__(self, *args, **kwargs):
         bound = self._signature.bind(*args, **kwargs)
@@ -88,12 +85,11 @@ class KeptProgram:
 
     def _make(self, structure, leaves: list, constants: tuple, key: tuple) -> Callable:
         """The program for arguments of one structure and shape, read or made."""
-        options = self._compiler_options()
-        about = f"{self._function.__module__}.{self._function.__qualname__}", key, options
+        about = f"{self._function.__module__}.{self._function.__qualname__}", key
         path = program_files.file_of(self._function.__name__, about)
         if path:
             _note(path.name)
-        kept_one = path and (_taken(path) or _load(path, options))
+        kept_one = path and (_taken(path) or _load(path))
         if kept_one:
             run, result_structure = kept_one
             return lambda *leaves: jax.tree.unflatten(result_structure, run(*leaves))
@@ -107,12 +103,24 @@ class KeptProgram:
             return flat_result
 
         traced.append(self._function.__qualname__)
-        exported = export.export(jax.jit(flat))(*map(_abstract, leaves))
-        if path:
-            program_files.write(path, exported, describe(results[0]))
-        # it runs as it is read later: both have one entry in the compile cache
-        run = jax.jit(exported.call, compiler_options=options)
-        return lambda *leaves: jax.tree.unflatten(results[0], run(*leaves))
+        run = jax.jit(flat)
+        try:
+            exported = export.export(run)(*map(_abstract, leaves))
+        except (ValueError, NotImplementedError):
+            # it calls something of this device whose form JAX does not promise to keep, or its
+            # arguments are wrong: running it says so
+            exported = None
+        if exported:
+            if path:
+                program_files.write(path, exported, describe(results[0]))
+            # it runs as it is read later: both have one entry in the compile cache
+            run = jax.jit(exported.call)
+
+        def program(*leaves):
+            flat_result = run(*leaves)
+            return jax.tree.unflatten(results[0], flat_result)
+
+        return program
 
 
 def _for_programs(argument):
@@ -195,10 +203,10 @@ def _taken(path: Path) -> tuple[Callable, Any] | None:
     return found and _with_structure(*found)
 
 
-def _load(path: Path, options: dict | None) -> tuple[Callable, Any] | None:
+def _load(path: Path) -> tuple[Callable, Any] | None:
     """The program of a file and the structure of its result; None where the file is no good."""
     found = program_files.read(path)
-    return found and _with_structure(jax.jit(found[0].call, compiler_options=options), found[1])
+    return found and _with_structure(jax.jit(found[0].call), found[1])
 
 
 def _with_structure(run: Callable, description: str) -> tuple[Callable, Any] | None:
