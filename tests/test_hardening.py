@@ -190,6 +190,24 @@ run_cli(command)
     assert (done.returncode, done.stderr) == (130, "\nstopped\n")
 
 
+def test_ctrl_c_in_code_made_of_text_ends_with_130(tmp_path):
+    """Python then ends by the signal itself, whatever exit code it is asked for."""
+    code = """
+from hybrid_jax.runtime.terminal import run_cli
+
+def command():
+    try:
+        exec("raise KeyboardInterrupt")
+    except KeyboardInterrupt:
+        return 130
+
+run_cli(command)
+"""
+    (tmp_path / "stopping.py").write_text(code)
+    done = subprocess.run([sys.executable, "-m", "stopping"], cwd=tmp_path)
+    assert done.returncode == 130
+
+
 @pytest.mark.parametrize("later", [0.1, 2.0], ids=["importing", "computing"])
 def test_ctrl_c_ends_with_130_and_says_how_to_go_on(tmp_path, later):
     folder = tmp_path / "run"

@@ -67,6 +67,12 @@ def run_cli(command: Callable[[], int]) -> None:
         traceback.print_exc()
         remark("error: this is a defect of hybrid_jax; please report it with the lines above")
         code = DEFECT
+    if code == STOPPED:
+        # where Ctrl-C fell into code made of text, as dataclasses make theirs, Python would end
+        # itself by SIGINT, whatever code it is asked for
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
     sys.exit(code)
 
 
