@@ -36,7 +36,7 @@ def main(
     from hybrid_jax.workcell.diagnosis import WRONG, diagnose
     from hybrid_jax.workcell.load import load_workcell
 
-    use_all_cores()  # as in training: compiled programs are of a number of devices
+    use_all_cores()
     path = find_workcell(cell)
     with working("check", "looking the model over", quiet):
         diagnosis = diagnose(path, tool=tool, package_paths=package_path)

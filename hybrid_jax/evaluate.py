@@ -52,7 +52,7 @@ def main(
     from hybrid_jax.studies.methods import make_method
     from hybrid_jax.studies.registry import study_of
 
-    use_all_cores()  # as in training: compiled programs are of a number of devices
+    use_all_cores()
     opened, papers = open_run(run), open_run(paper) if paper else None
     study = study_of(opened.cell)
     first = study.SEEDS.start if seed is None else seed

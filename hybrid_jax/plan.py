@@ -25,7 +25,7 @@ def main(
     from hybrid_jax.runtime.devices import use_all_cores
     from hybrid_jax.runtime.kept_programs import load_ahead
 
-    use_all_cores()  # as in training: compiled programs are of a number of devices
+    use_all_cores()
     load_ahead(f"plan with the run {run.resolve()}")  # while all the rest is imported
     from hybrid_jax.export.files import refuse_ending, write_plan
 

@@ -158,18 +158,20 @@ def record(x) -> Trajectory:
 
 
 def test_programs_are_loaded_ahead_for_what_took_them_before(folder, monkeypatch):
-    monkeypatch.setattr(kept_programs, "_noting", [])
+    monkeypatch.setattr(kept_programs, "_noting", {})
     kept_programs.load_ahead("a purpose")
     assert same(fresh()(X)) and same(fresh()(X, times=3), 3)
     (names,) = (path.read_text().split() for path in folder.glob("*.list"))
     assert len(names) == 2 == len(list(folder.glob("*.program")))
-    monkeypatch.setattr(kept_programs, "_noting", [])
+    monkeypatch.setattr(kept_programs, "_noting", {})
     (folder / names[1]).unlink()  # a program that is gone is made anew
     kept_programs.load_ahead("a purpose")
     (loaded,) = kept_programs._ahead.values()
     assert loaded.result() is not None
     assert same(fresh()(X)) and not kept_programs._ahead and runs == [2, 3]
     assert same(fresh()(X, times=3), 3) and runs == [2, 3, 3]
+    (again,) = (path.read_text().split() for path in folder.glob("*.list"))
+    assert len(again) == 3  # of the two, only the one that was gone is noted once more
     kept_programs.load_ahead("another purpose")
     assert not kept_programs._ahead
 

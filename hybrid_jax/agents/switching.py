@@ -7,7 +7,6 @@ points; here costs of a jump and of a switch are added. With two choices a step 
 Viterbi path: `optimal_switching` is the oracle.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import jax
@@ -17,7 +16,7 @@ from jax import Array
 from jaxtyping import Float, PRNGKeyArray
 
 from hybrid_jax.agents import networks, ppo
-from hybrid_jax.contracts import STEPS, Combined
+from hybrid_jax.contracts import STEPS, Combined, Switcher
 from hybrid_jax.envs.base import StepResult
 from hybrid_jax.runtime.kept_programs import kept
 from hybrid_jax.types import Record, pytree
@@ -227,9 +226,7 @@ def _choices(policy: networks.Policy, problem: Combined, config: SwitchConfig) -
     return choose(net, policy, jax.tree.map(lambda a: a[None], problem), config)[0][0]
 
 
-def make_switcher(
-    policy: networks.Policy, config: SwitchConfig
-) -> Callable[[Combined], np.ndarray]:
+def make_switcher(policy: networks.Policy, config: SwitchConfig) -> Switcher:
     """The trained agent as a function that the planner calls.
 
     Args:

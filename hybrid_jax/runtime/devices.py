@@ -17,8 +17,9 @@ def use_all_cores() -> None:
     """Make every core a JAX device, where there is no accelerator.
 
     XLA runs most kernels of this package on one core: each operation on a chunk is too small to
-    be worth sharing. Call it first: once a device has been used it has no effect, and no error is
-    raised.
+    be worth sharing. All commands do so: XLA's compiled programs are of a number of devices, and so
+    training makes those of the other commands. Call it first: once a device has been used it has no
+    effect, and no error is raised.
     """
     with contextlib.suppress(RuntimeError):
         jax.config.update("jax_num_cpu_devices", usable_cores())

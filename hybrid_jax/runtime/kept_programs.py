@@ -21,6 +21,7 @@ from jax.core import Tracer
 
 from hybrid_jax.runtime import program_files
 from hybrid_jax.runtime.compile_cache import enable_compile_cache
+from hybrid_jax.runtime.devices import require_device
 from hybrid_jax.runtime.tree_descriptions import describe, structure_of
 
 traced: list[str] = []
@@ -162,8 +163,8 @@ def _abstract(leaf) -> jax.ShapeDtypeStruct:
 
 _ahead: dict[Path, Future] = {}
 """Programs that are being loaded ahead of need, by their files."""
-_noting: list[Path] = []
-"""Lists that take the names of the programs that this process uses."""
+_noting: dict[Path, set[str]] = {}
+"""Lists that take the names of the programs that this process uses, and the names they hold."""
 
 
 def load_ahead(purpose: str) -> None:
@@ -171,14 +172,19 @@ def load_ahead(purpose: str) -> None:
 
     Args:
         purpose: name of what is about to be done, with all that decides which programs it takes.
+
+    Raises:
+        DeviceError: JAX has no device of the kind that JAX_PLATFORMS asks for.
     """
     enable_compile_cache()
+    require_device()
     path = program_files.file_of("ahead", (purpose,), program_files.LIST)
     if path is None or path in _noting:
         return
-    _noting.append(path)
+    files = program_files.read_list(path)
+    _noting[path] = {file.name for file in files}
     pool = ThreadPoolExecutor(AT_ONCE, thread_name_prefix="programs")
-    for file in program_files.read_list(path)[:MOST_AHEAD]:
+    for file in files[:MOST_AHEAD]:
         if file not in _ahead:
             _ahead[file] = pool.submit(_load_ahead, file)
     pool.shutdown(wait=False)
@@ -217,5 +223,7 @@ def _with_structure(run: Callable, description: str) -> tuple[Callable, Any] | N
 
 
 def _note(name: str) -> None:
-    for path in _noting:
-        program_files.add_to_list(path, name)
+    for path, names in _noting.items():
+        if name not in names:
+            names.add(name)
+            program_files.add_to_list(path, name)

@@ -126,6 +126,7 @@ def read_list(path: Path) -> list[Path]:
     """The files that a list names, the largest first; those that are gone are left out."""
     try:
         names = path.read_text().splitlines()
+        os.utime(path)  # tells when it was used last
     except (OSError, UnicodeDecodeError):
         return []
     files = [path.parent / Path(name).name for name in names]

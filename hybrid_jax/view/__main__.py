@@ -31,7 +31,7 @@ def main(
     from hybrid_jax.runs.run_folder import open_run
     from hybrid_jax.runtime.devices import use_all_cores
 
-    use_all_cores()  # as in training: compiled programs are of a number of devices
+    use_all_cores()
     page = ViewPage(open_run(run), host, port, meshes)
     serve(page)
     return 0

@@ -32,7 +32,8 @@ def of_rows(rows: np.ndarray) -> RigidTransform:
 def dual_quats(rows: np.ndarray) -> np.ndarray:
     """Unit dual quaternions `[*b, 8]` in float32 of rows `[*b, 7]`: position [m], quaternion."""
     position, (w, x, y, z) = np.moveaxis(rows[..., :3], -1, 0), np.moveaxis(rows[..., 3:], -1, 0)
-    # half the product of the position, as a quaternion, and the rotation (paper, `t r / 2`)
+    # SciPy makes real parts positive, but signs along a path must not jump. The dual part is half
+    # the product of the position, as a quaternion, and the rotation (paper, `t r / 2`)
     a, b, c = position / 2
     dual = [
         -a * x - b * y - c * z,

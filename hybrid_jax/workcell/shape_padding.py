@@ -7,6 +7,8 @@ are far from everything, but they are computed: so the sizes lie close together,
 robot, whose primitives meet all others.
 """
 
+import copy
+
 import numpy as np
 
 from hybrid_jax.kernels.collision.primitive_kinds import rows_as_boxes, spans
@@ -142,14 +144,6 @@ def _filled_source(
         owners[slot] = owner
     for slot, body in zip(fixture_slots, source.fixture_bodies, strict=True):
         bodies[slot] = body
-    return WorkcellSource(
-        name=source.name,
-        digest=source.digest,
-        model=source.model,
-        layout=source.layout,
-        task=source.task,
-        owners=tuple(owners),
-        fixture_bodies=tuple(bodies),
-        path=source.path,
-        tool=source.tool,
-    )
+    filled = copy.copy(source)
+    filled.owners, filled.fixture_bodies = tuple(owners), tuple(bodies)
+    return filled
