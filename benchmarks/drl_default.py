@@ -19,12 +19,13 @@ from benchmarks.drl_problems import Problems
 from benchmarks.report import interval, metric, rate
 from hybrid_jax.agents import joint
 from hybrid_jax.agents.joint import JointAgentConfig
+from hybrid_jax.agents.joint_bridger import make_bridger
 from hybrid_jax.agents.trainers import make_programs
 from hybrid_jax.contracts import Segments, take
 from hybrid_jax.envs import base
 from hybrid_jax.envs.reach import ReachEnv
 from hybrid_jax.runs.presets import DEFAULT
-from hybrid_jax.runtime.devices import vector_options
+from hybrid_jax.runtime.compiler_options import vector_options
 from hybrid_jax.types import Workcell
 
 CONFIG = DEFAULT.joint
@@ -40,7 +41,7 @@ def solved(bridge, segments: Segments) -> tuple[np.ndarray, np.ndarray]:
     """Which segments the agent solves alone, and the time of each call [s].
 
     Args:
-        bridge: from `joint.make_bridger`.
+        bridge: from `make_bridger`.
         segments: to be solved one after the other.
     """
     found, seconds = [], []
@@ -146,8 +147,8 @@ def figures(
     config = replace(CONFIG, training=replace(CONFIG.training, steps=2 * steps))
     net, ends, halves, curves, seconds = train(cell, problems.training, seeds, config)
     test, tests = problems.held_out, f"{problems.held_out.start.shape[0]} segments"
-    alone = lambda policy: joint.make_bridger(cell, policy, SINGLE)  # noqa: E731
-    best = lambda policy: joint.make_bridger(cell, policy, MANY)  # noqa: E731
+    alone = lambda policy: make_bridger(cell, policy, SINGLE)  # noqa: E731
+    best = lambda policy: make_bridger(cell, policy, MANY)  # noqa: E731
     one = [solved(alone(p), test)[0].mean() for p in ends]
     early = [solved(alone(p), test)[0].mean() for p in halves]
     many, calls = zip(*(solved(best(p), test) for p in ends), strict=True)

@@ -87,8 +87,8 @@ def _add_obstacles(spec: mujoco.MjSpec, data: dict, i: int) -> None:
         )
 
 
-def read_problems(folder: Path, every: int = 1) -> list[Problem]:
-    """The valid problems, or every n-th of each scene.
+def read_problems(folder: Path, every: int = 1, first: int = 0) -> list[Problem]:
+    """The valid problems, or every n-th of each scene, from the number `first` on.
 
     Raises:
         FileNotFoundError: the folder lacks the data.
@@ -96,7 +96,7 @@ def read_problems(folder: Path, every: int = 1) -> list[Problem]:
     robot = json.loads((folder / "panda_robot.json").read_text())
     with np.load(folder / "panda_problems.npz") as file:
         data = {name: file[name] for name in file.files}
-    chosen = [i for i in np.flatnonzero(data["exact_valid"]) if data["index"][i] % every == 0]
+    chosen = [i for i in np.flatnonzero(data["exact_valid"]) if data["index"][i] % every == first]
     found = []
     for scene in dict.fromkeys(data["name"][chosen]):
         here = [i for i in chosen if data["name"][i] == scene]

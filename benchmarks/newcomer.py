@@ -8,12 +8,14 @@ are empty. The second command's page is opened in a headless Chromium, `Plan` is
 time ends when the playback has begun to move. Some ten minutes on two cores.
 """
 
+import contextlib
 import os
 import re
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import tyro
@@ -50,19 +52,35 @@ def press(shown, label: str) -> None:
     shown.find_element("xpath", there).click()
 
 
-def plan_in_browser(address: str) -> str:
-    """Open the page, plan the task that it begins with, let it move; the status line."""
+@contextlib.contextmanager
+def page_of(command: list[str], cwd: Path, env: dict[str, str]) -> Iterator[str]:
+    """Context in which a command shows its page; gives the page's address."""
+    page = subprocess.Popen(command, cwd=cwd, env=env, stderr=subprocess.PIPE, text=True)
+    try:
+        yield next(found[0] for line in page.stderr if (found := re.search(r"http\S+", line)))
+    finally:
+        page.terminate()
+        page.wait()
+
+
+def plan_in_browser(address: str) -> tuple[str, float]:
+    """Open the page, plan the task that it begins with, let it move.
+
+    Returns:
+        The status line, and seconds from `Plan` until the arm moves or the page says why not.
+    """
     with browser() as shown:
         text = lambda: shown.find_element("tag name", "body").text  # noqa: E731
         shown.get(address)
         wait_for(lambda: "Choose an object" in text(), 60.0)
+        began = time.monotonic()
         press(shown, "Plan")
         said = lambda: [line for line in text().splitlines() if line.startswith(ENDED)]  # noqa: E731
         told = wait_for(said, 600.0)[0]
         if told.startswith(OK):
             press(shown, "Play")
             wait_for(lambda: "Stop" in text(), 60.0)
-        return told
+        return told, time.monotonic() - began
 
 
 def follow_readme(place: Path, tiny: bool) -> tuple[dict[str, float], str]:
@@ -82,14 +100,9 @@ def follow_readme(place: Path, tiny: bool) -> tuple[dict[str, float], str]:
     subprocess.run(train, cwd=clone, env=env, check=True)
     seconds["train"] = time.monotonic() - began
     command = [python, "-m", "hybrid_jax.view", "--run", "runs/gen3_handling-001"]
-    page = subprocess.Popen(command, cwd=clone, env=env, stderr=subprocess.PIPE, text=True)
-    try:
-        address = next(found[0] for line in page.stderr if (found := re.search(r"http\S+", line)))
+    with page_of(command, clone, env) as address:
         seconds["page"] = time.monotonic() - began - seconds["train"]
-        told = plan_in_browser(address)
-    finally:
-        page.terminate()
-        page.wait()
+        told, _ = plan_in_browser(address)
     seconds["all"] = time.monotonic() - began
     return seconds, told
 

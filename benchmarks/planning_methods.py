@@ -28,7 +28,7 @@ from hybrid_jax.runs.load_planner import load_learned_chooser
 from hybrid_jax.runs.run_folder import Run, create_run, open_run
 from hybrid_jax.runs.seeds import SWITCHING_TEST
 from hybrid_jax.runs.stages import learn
-from hybrid_jax.runs.switch_problems import combined_phases
+from hybrid_jax.runs.switch_problems import switch_problems
 from hybrid_jax.tasks.registry import random_task
 from hybrid_jax.tasks.task import Task
 
@@ -58,10 +58,8 @@ def trained_run(folder: Path | None, tiny: bool = False) -> Iterator[Run]:
 
 def phases_of(planner: Planner, tasks: range) -> Combined:
     """Both motions of the phases of random tasks, stacked."""
-    found = combined_phases(
-        planner, [random_task(planner.cell, number) for number in tasks], jax.random.key(0)
-    )
-    return jax.tree.map(lambda *a: jnp.stack(a), *found)
+    drawn = [random_task(planner.cell, number) for number in tasks]
+    return switch_problems(planner, drawn, jax.random.key(0))
 
 
 def problems(some: Combined) -> list[Combined]:

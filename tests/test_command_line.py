@@ -56,7 +56,7 @@ def test_resume_does_only_what_is_missing(run_folder, capsys):
 
 def test_plan_writes_a_trajectory_and_ends_with_0(run_folder, tmp_path):
     (tmp_path / "task.json").write_text('{"object": "block_1", "scene_seed": 3}')
-    assert plan.main(run_folder, tmp_path / "task.json", tmp_path / "out.json") == 0
+    assert plan.main(run=run_folder, task=tmp_path / "task.json", out=tmp_path / "out.json") == 0
     out = json.loads((tmp_path / "out.json").read_text())
     assert out["status"] == "OK" and len(out["points"]) > 100
     times = [point["time_from_start"] for point in out["points"]]
@@ -70,7 +70,7 @@ def test_plan_writes_why_there_is_none_and_ends_with_1(run_folder, tmp_path):
     poses[cell.source.layout.object_names.index("block_1"), :2] = 2.5, 2.5
     values = {"object": "block_1", "object_poses": poses.tolist()}
     (tmp_path / "task.json").write_text(json.dumps(values))
-    assert plan.main(run_folder, tmp_path / "task.json", tmp_path / "out.json") == 1
+    assert plan.main(run=run_folder, task=tmp_path / "task.json", out=tmp_path / "out.json") == 1
     out = json.loads((tmp_path / "out.json").read_text())
     assert out["status"] != "OK" and out["detail"] and not out["points"]
 

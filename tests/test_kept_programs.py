@@ -12,7 +12,7 @@ import optax
 import pytest
 
 from hybrid_jax.errors import InputError
-from hybrid_jax.kernels.collision import narrow_phase
+from hybrid_jax.kernels.collision import nearest_pair
 from hybrid_jax.runtime import kept_programs, program_files
 from hybrid_jax.runtime.kept_programs import KeptProgram, kept
 from hybrid_jax.runtime.tree_descriptions import describe, structure_of
@@ -54,6 +54,14 @@ def test_a_program_is_traced_once_for_all_processes(folder):
     assert same(fresh()(X)) and runs == [2]
     assert same(fresh()(jnp.asarray(X), times=2)) and runs == [2]
     assert len(list(folder.iterdir())) == 1
+
+
+def test_a_hot_program_is_read_as_one(folder):
+    """It is compiled with other options, which whoever loads its file ahead must know, too."""
+    assert same(kept(doubled, static=("times",), hot=True)(X))
+    assert [path.name.endswith(program_files.HOT) for path in folder.iterdir()] == [True]
+    assert same(kept(doubled, static=("times",), hot=True)(X)) and runs == [2]
+    assert same(fresh()(X)) and runs == [2, 2]
 
 
 def test_shapes_types_and_constants_make_programs_of_their_own(folder):
@@ -186,7 +194,7 @@ def test_lists_name_programs_in_their_folder_only(tmp_path):
 
 def test_structures_are_described_and_only_those_of_the_package(cell):
     shapes = jax.tree.map(np.asarray, cell.scene)
-    nearest = narrow_phase.Nearest(1, 2, 3, 4)
+    nearest = nearest_pair.Nearest(1, 2, 3, 4)
     for tree in (None, 3, [X, (X, None)], {"b": X, "a": [X]}, shapes, (nearest, {"x": shapes})):
         structure = jax.tree.structure(tree)
         assert structure_of(describe(structure)) == structure

@@ -29,6 +29,7 @@ from hybrid_jax.planner.phase_scenes import (
 from hybrid_jax.planner.pipeline import plan_batch, plan_motion, prepare
 from hybrid_jax.planner.task_validation import admit
 from hybrid_jax.runs.presets import DEFAULT
+from hybrid_jax.runs.switch_problems import switch_problems
 from hybrid_jax.skills.library import without
 from hybrid_jax.tasks.registry import make_task, random_task
 from hybrid_jax.tasks.scene_sampling import sample_scene
@@ -199,6 +200,14 @@ def test_the_fallback_bridges_what_the_joint_agent_does_not(planner, planned):
     assert re.match(r"key pose \d to \d: no way around", result.detail)
 
 
+def test_without_a_bridged_gap_the_switch_learns_from_the_skills(planner, planned, capsys):
+    """As where the joint agent was trained for seconds."""
+    helpless = replace(planner, bridge=lambda segments, key: [None] * len(segments.start))
+    problems = switch_problems(helpless, [planned[0]], jax.random.key(0))
+    assert "the joint agent bridged no gap of 1 tasks" in capsys.readouterr().err
+    assert len(problems.available) >= 1
+
+
 def test_a_seam_that_keeps_no_margin_is_reported(planner, planned):
     config = replace(planner.config, smoothing=replace(planner.config.smoothing, margin=0.04))
     result = plan_motion(replace(planner, config=config), planned[0], key=jax.random.key(0))
@@ -288,6 +297,6 @@ def test_more_skill_plans_never_leave_more_infeasible_way_points(cell, planner):
             several = replace(planner, config=replace(planner.config, plans=plans))
             _, jobs = prepare(several, checker, [task], jax.random.key(0))
             costs.append(jobs[0].routes.least_cost())
-        assert costs[1] <= costs[0]
-        fewer += costs[1] < costs[0]
+        assert costs[1] <= costs[0] + 1e-4  # batches of other sizes round otherwise
+        fewer += costs[1] < costs[0] - 1e-4
     assert fewer, "one of the tasks has a better plan than the cheapest"

@@ -15,7 +15,7 @@ from hybrid_jax.errors import InputError, TaskError, WorkcellError
 from hybrid_jax.feasibility.evaluation import Reason
 from hybrid_jax.kernels.collision.clearance import clearance
 from hybrid_jax.planner.phase_scenes import in_scene, phase_scene, segment_kinds
-from hybrid_jax.runs.run_folder import open_run
+from hybrid_jax.runs.run_folder import create_run, open_run
 from hybrid_jax.tasks.registry import read_task
 from hybrid_jax.tasks.task import as_rows
 from hybrid_jax.types import Status
@@ -291,3 +291,17 @@ def test_map_skills_and_curves_in_the_browser(browser, page):
     says(browser, page._skills[name].note)
     open_tab(browser, "Learning")
     wait_for(lambda: len(browser.find_elements("css selector", ".uplot canvas")) >= page.curves)
+
+
+def test_a_run_without_task_data_is_shown_with_its_objects(tmp_path):
+    """The objects are where the model's home has them."""
+    (tmp_path / "cell.xml").write_text(
+        '<mujoco><worldbody><body name="arm"><joint name="a" axis="0 0 1" range="-90 90"/>'
+        '<geom type="capsule" fromto="0 0 0 .4 0 0" size=".03"/><site name="tool" pos=".4 0 0"/>'
+        '</body><body name="part" pos=".8 0 .1"><freejoint/><geom size=".02"/></body>'
+        "</worldbody></mujoco>"
+    )
+    run = create_run(str(tmp_path / "cell.xml"), "smoke", 0, tmp_path / "run")
+    page = ViewPage(run, port=8290)
+    assert "no task data" in page.status.content
+    page.server.stop()

@@ -20,6 +20,7 @@ from jax import Array
 from hybrid_jax.agents import hdqn_networks
 from hybrid_jax.agents.hdqn_networks import Controllers
 from hybrid_jax.errors import InputError
+from hybrid_jax.runtime.compiler_options import quick_options
 from hybrid_jax.runtime.kept_programs import kept
 from hybrid_jax.skills.costs import SegmentCosts
 from hybrid_jax.skills.task_segmentation import SkillPlan
@@ -273,7 +274,8 @@ def make_trainer(tasks: SegmentCosts, config: DqnConfig, rounds: int):
         A function from a state to the state after these rounds and metrics `[round]`.
     """
     step = functools.partial(training_round, make_controllers(config), config, tasks)
-    return jax.jit(lambda state: jax.lax.scan(step, state, length=rounds))
+    several = functools.partial(jax.lax.scan, step, length=rounds)
+    return jax.jit(several, compiler_options=quick_options())
 
 
 @kept(static=("config",))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The DRL-Feasibility agent: trained on infeasible segments, used as the best of many rollouts."""
+"""The DRL-Feasibility agent, trained on infeasible segments: settings, networks, rollouts."""
 
 from dataclasses import dataclass, replace
 
@@ -9,22 +9,12 @@ import numpy as np
 from jax import Array
 
 from hybrid_jax.agents import networks, ppo, sac
-from hybrid_jax.contracts import Bridger, Segments, take
+from hybrid_jax.contracts import Segments
 from hybrid_jax.envs import base
 from hybrid_jax.envs.paper_reach import PaperReachConfig, PaperReachEnv
 from hybrid_jax.envs.reach import ReachConfig, ReachEnv
-from hybrid_jax.envs.segments import refuse_infeasible
-from hybrid_jax.kernels.batching import padded_chunks
-from hybrid_jax.kernels.collision.clearance import clearance_up_to
-from hybrid_jax.kernels.collision.motion_validation import paths_are_free
-from hybrid_jax.runtime.kept_programs import kept
-from hybrid_jax.runtime.keys import fold_in
 from hybrid_jax.types import Workcell
 
-SEGMENTS_PER_CALL = 16
-"""Segments that are bridged in one call."""
-RANKED = 32
-"""Way points of a rollout at which clearance is measured to rank it."""
 WIDEST = 1.5
 """Spread of the boldest rollout. The first follows the policy's mode; spreads grow evenly."""
 
@@ -96,7 +86,7 @@ def rollouts(
     index: Array,
     spread: Array,
     key: Array,
-    enough: int | None = None,
+    enough: int | Array | None = None,
 ) -> tuple[Array, Array]:
     """Run one rollout for each entry of `index`, until they arrive or the horizon is reached.
 
@@ -106,7 +96,8 @@ def rollouts(
         index: `[rollout]` segment of each rollout.
         spread: `[rollout]` 0 for the policy's mode, 1 for its samples, see `networks.act`.
         key: consumed.
-        enough: stop once so many rollouts of each segment have arrived; all if None.
+        enough: stop once so many rollouts of each segment have arrived, one number or `[segment]`;
+            all if None.
 
     Returns:
         Way points `[horizon + 2, rollout, joint]` [rad] from start to goal, the last state
@@ -139,9 +130,9 @@ def rollouts(
     return jnp.concatenate([start[None], jnp.where(done, state.q, q), goal[None]]), reached
 
 
-def spreads(count: int) -> Array:
+def spreads(count: int) -> np.ndarray:
     """Spreads `[rollout]` of `count` rollouts of a segment, from the mode (0) to the boldest."""
-    return jnp.linspace(0.0, WIDEST, count)
+    return np.linspace(0.0, WIDEST, count, dtype=np.float32)
 
 
 def success_rates(
@@ -179,104 +170,3 @@ def success_rates(
     reached = np.asarray(run(policy, segments, key))
     table = reached.reshape(16, count)
     return float(table[0].mean()), float(table.any(axis=0).mean())
-
-
-def _best_first(
-    inside: Workcell, q: Array, reached: Array, config: JointAgentConfig
-) -> tuple[Array, Array]:
-    """The shortest of `[point, rollout, joint]` rollouts, best first by length and clearance.
-
-    Returns paths `[candidate, point, joint]`, and `[candidate]` True for those that arrived.
-    """
-    length = jnp.where(reached, jnp.sum(jnp.abs(jnp.diff(q, axis=0)), axis=(0, 2)), jnp.inf)
-    shortest = jnp.argsort(length)[: config.candidates]
-    length = length[shortest]
-    paths = jnp.swapaxes(q[:, shortest], 0, 1)
-    measure = lambda point: clearance_up_to(inside, point, config.ample_clearance)  # noqa: E731
-    gap = jnp.min(jax.vmap(jax.vmap(measure))(jax.vmap(_ranked_points)(paths)), axis=1)
-    order = jnp.argsort(length - config.clearance_worth * gap)
-    return paths[order], jnp.isfinite(length)[order]
-
-
-def _ranked_points(path: Array) -> Array:
-    """`[RANKED, joint]` way points spread evenly over a path `[point, joint]` until it rests."""
-    moving = jnp.any(jnp.diff(path[:-1], axis=0) != 0, axis=-1)
-    last = jnp.max(jnp.where(moving, jnp.arange(1, len(path) - 1), 0))
-    return path[jnp.round(jnp.linspace(0.0, last, RANKED)).astype(int)]
-
-
-def _moved(q: np.ndarray) -> np.ndarray:
-    """Way points `[point, joint]` without those that repeat their predecessor."""
-    changed = np.abs(np.diff(q, axis=0)).max(axis=1) > 1e-6
-    return np.concatenate([q[:1], q[1:][changed]])
-
-
-@kept(static=("each", "config"))
-def _ranked_rollouts(
-    cell: Workcell,
-    policy: networks.Policy,
-    segments: Segments,
-    key: Array,
-    each: int,
-    config: JointAgentConfig,
-) -> tuple[Array, Array]:
-    """`each` rollouts of every segment, the best first, see `_best_first`; `[segment, ...]`."""
-    env, count = planning_env(cell, segments, config), segments.start.shape[0]
-    net = make_net(cell, config)
-    index = jnp.repeat(jnp.arange(count), each)
-    spread, enough = jnp.tile(spreads(each), count), max(1, int(config.enough * each))
-    q, reached = rollouts(env, net, policy, index, spread, key, enough)
-    q = jnp.moveaxis(q.reshape(len(q), count, each, -1), 1, 0)
-    rank = lambda scene, q, reached: _best_first(  # noqa: E731
-        cell.replace(scene=scene), q, reached, config
-    )
-    return jax.vmap(rank)(segments.scene, q, reached.reshape(count, -1))
-
-
-def make_bridger(cell: Workcell, policy: networks.Policy, config: JointAgentConfig) -> Bridger:
-    """The trained agent as a function that the planner calls.
-
-    The shortest rollouts are ranked by length and clearance; the first whose every edge is proven
-    free is returned.
-
-    Args:
-        cell: robot and fixtures.
-        policy: the trained agent; agents of one cell and `config` share their programs.
-        config: of its training; number of rollouts, ranking and checks.
-
-    Returns:
-        A `Bridger`: from segments with `[segment, joint]` ends [rad] and a key to way points
-        `[point, joint]` [rad] of each, None where no free path was found.
-
-    Raises:
-        SegmentError: the function, if an end of a segment is outside the limits or not free.
-    """
-
-    def attempt(segments, key, ways, index, each):
-        """Bridge the segments `index` by `each` rollouts, where possible; fills in their `ways`."""
-        ranked, arrived = jax.device_get(
-            _ranked_rollouts(cell, policy, take(segments, index), key, each, config)
-        )
-        for rank in range(ranked.shape[1]):
-            rows = [r for r in range(len(index)) if ways[index[r]] is None and arrived[r, rank]]
-            paths = [_moved(ranked[r, rank]) for r in rows]
-            if not rows:
-                continue
-            scenes = take(segments, index[rows]).scene
-            for row, path, free in zip(
-                rows, paths, paths_are_free(cell, scenes, paths), strict=True
-            ):
-                if free:
-                    ways[index[row]] = path
-
-    def bridge(segments: Segments, key: Array) -> list[np.ndarray | None]:
-        refuse_infeasible(cell, segments, 0.0)
-        solutions: list[np.ndarray | None] = [None] * segments.start.shape[0]
-        for number, each in enumerate(config.rollouts):
-            unsolved = np.array([i for i, path in enumerate(solutions) if path is None], int)
-            for part, (chunk, _) in enumerate(padded_chunks(len(unsolved), SEGMENTS_PER_CALL)):
-                key_part = fold_in(fold_in(key, number), part)
-                attempt(segments, key_part, solutions, unsolved[chunk], each)
-        return solutions
-
-    return bridge

@@ -13,7 +13,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from hybrid_jax.agents import networks, ppo, sac
 from hybrid_jax.agents.networks import ActorCritic
 from hybrid_jax.envs import base
-from hybrid_jax.runtime.devices import vector_options
+from hybrid_jax.runtime.compiler_options import vector_options
 from hybrid_jax.types import Record, pytree
 
 Config = ppo.PpoConfig | sac.SacConfig

@@ -12,6 +12,7 @@ import numpy as np
 from jax import Array
 
 from hybrid_jax.agents import joint, networks
+from hybrid_jax.agents.joint_bridger import make_bridger
 from hybrid_jax.contracts import Bridger, Combined, PlanResult, Segments, SkillChooser
 from hybrid_jax.errors import InputError, UnknownNameError
 from hybrid_jax.kernels.argument_checks import single_precision
@@ -118,7 +119,7 @@ def untrained_bridger(cell: Workcell, config: joint.JointAgentConfig) -> Bridger
     """A `Bridger` by a joint agent that was never trained: its weights are drawn once."""
     net = joint.make_net(cell, config)
     policy = networks.blank_policy(net, joint.observation_length(cell, config))
-    return joint.make_bridger(cell, policy, config)
+    return make_bridger(cell, policy, config)
 
 
 def ablated(

@@ -9,7 +9,7 @@ import numpy as np
 
 from hybrid_jax.baselines.ompl_paths import OmplPlanner
 from hybrid_jax.contracts import PlanResult
-from hybrid_jax.planner.path_ik import find_candidates
+from hybrid_jax.planner.key_pose_ik import Judge, draw_seeds, find_candidates
 from hybrid_jax.planner.phase_scenes import inside, phase_scene, segment_kinds, task_scenes
 from hybrid_jax.planner.records import PlannerConfig
 from hybrid_jax.planner.trajectory_check import CheckConfig, ConfigurationChecker
@@ -56,11 +56,10 @@ class OmplTasks:
         last = len(task.carrying)
         if k == last and task.end is not None:
             return task.end[None]
-        around = (k - 1, min(k, last - 1))
-        before, after = (jax.tree.map(lambda a, i=i: a[i], scenes) for i in around)
-        candidates, usable, _ = jax.device_get(
-            find_candidates(self.cell, before, after, task.key_poses[k], 1.0, key, self.labels)
-        )
+        around, pose = np.array([[k - 1, min(k, last - 1)]]), task.key_poses[None, k]
+        judge = Judge(self.cell, jax.device_get(scenes), 1.0, self.labels)
+        found = find_candidates(judge, around, pose, draw_seeds(judge, 1, key, k))
+        candidates, usable, _ = (a[0] for a in found)
         goals = candidates[usable]
         return goals[np.argsort(np.abs(goals - start).max(axis=1))][:TRIES]
 

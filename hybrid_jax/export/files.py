@@ -7,8 +7,8 @@ from pathlib import Path
 from hybrid_jax.contracts import PlanResult
 from hybrid_jax.errors import UnknownNameError
 from hybrid_jax.export.fanuc_tp import to_tp_program
-from hybrid_jax.export.trajectories import to_csv, to_joint_trajectory, write_json
-from hybrid_jax.runtime.artifacts import write_text
+from hybrid_jax.export.trajectories import json_text, to_csv, to_joint_trajectory
+from hybrid_jax.runtime.output_files import write_text
 from hybrid_jax.tasks.task import Task
 from hybrid_jax.types import Workcell
 
@@ -46,9 +46,30 @@ def write_plan(path: Path | str, cell: Workcell, task: Task, plan: PlanResult) -
     """
     path = Path(path)
     refuse_ending(path)
-    values = to_joint_trajectory(cell, task, plan)
-    ending = path.suffix.lower()
+    text = plan_text(path, cell, task, plan)
+    if text is not None:
+        write_text(path, text)
+
+
+def plan_text(path: Path, cell: Workcell, task: Task, plan: PlanResult) -> str | None:
+    """What a file of a plan holds; None where there is no plan, unless it is JSON.
+
+    Args:
+        path: its ending selects the format, its name goes into programs.
+        cell, task, plan: as in `write_plan`.
+    """
+    values, ending = to_joint_trajectory(cell, task, plan), path.suffix.lower()
     if ending == ".json":
-        write_json(path, values)
-    elif values["points"]:
-        write_text(path, WRITERS[ending](cell, values, path.stem))
+        return json_text(values)
+    return WRITERS[ending](cell, values, path.stem) if values["points"] else None
+
+
+def plan_summary(plan: PlanResult) -> dict:
+    """A plan without its points: plain values for the answer of a command or a server."""
+    return {
+        "status": plan.status.name,
+        "detail": plan.detail,
+        "skills": plan.skills,
+        "motion_seconds": round(sum(float(t.times[-1]) for t in plan.phases), 3),
+        "shares": {source.name: round(share, 3) for source, share in plan.shares.items()},
+    }

@@ -13,7 +13,7 @@ from hybrid_jax.envs.reach import ReachEnv
 from hybrid_jax.errors import RunFolderError
 from hybrid_jax.runs.load_planner import load_policy
 from hybrid_jax.runs.run_folder import Run
-from hybrid_jax.runtime.artifacts import write_bytes, write_text
+from hybrid_jax.runtime.output_files import write_bytes, write_text
 
 FORMAT = "hybrid_jax.policy/1"
 """Name and version of the description beside an exported policy."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from hybrid_jax.contracts import PlanResult
 from hybrid_jax.planner.timeline import timeline
-from hybrid_jax.runtime.artifacts import write_text
+from hybrid_jax.runtime.output_files import write_text
 from hybrid_jax.tasks.task import Task
 from hybrid_jax.types import Trajectory, Workcell
 
@@ -153,6 +153,11 @@ def to_csv(trajectory: dict) -> str:
     return buffer.getvalue()
 
 
+def json_text(values) -> str:
+    """JSON as it stands in files."""
+    return json.dumps(values, indent=1) + "\n"
+
+
 def write_json(path: Path, values) -> None:
     """Write JSON; the folder is made where it is missing."""
-    write_text(path, json.dumps(values, indent=1) + "\n")
+    write_text(path, json_text(values))

@@ -7,11 +7,15 @@ around that function reaches the kernel as one flat batch, also inside the calle
 """
 
 from collections.abc import Callable
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from jax.custom_batching import custom_vmap
+
+T = TypeVar("T")
 
 CPU_CHUNK = 256
 """Items at once on a CPU: the working set of a chunk stays in the second-level cache."""
@@ -19,8 +23,8 @@ ACCELERATOR_CHUNK = 65536
 """The same on an accelerator: bounds the memory of one pass."""
 
 
-def by_backend(cpu: int, accelerator: int) -> int:
-    """Choose the number of items to take at once for JAX's default back end.
+def by_backend(cpu: T, accelerator: T) -> T:
+    """Choose the number of items to take at once, or such numbers, for JAX's default back end.
 
     Few items fit a CPU's cache; as few would leave an accelerator waiting.
     """
@@ -43,22 +47,48 @@ def map_items(function: Callable, args, size: int):
     return jax.tree.map(lambda a: function(a) if a.shape[0] == size else a, args)
 
 
-def padded_chunks(count: int, size: int) -> list[tuple[np.ndarray, int]]:
+def padded_chunks(count: int, size: int, single: bool = True) -> list[tuple[np.ndarray, int]]:
     """Cut the indices 0 .. count - 1 into chunks of one size: few programs serve any count.
 
-    Where three quarters of a chunk would be padding, each item is a chunk of its own. The last
-    chunk repeats its last index.
+    The last chunk repeats its last index.
+
+    Args:
+        count: of the indices.
+        size: of a chunk.
+        single: where three quarters of a chunk would be padding, each item is a chunk of its own.
 
     Returns:
         Indices `[size]` or `[1]` of each chunk, and how many of them are no padding.
     """
-    if 4 * count <= size:
+    if single and 4 * count <= size:
         return [(np.array([i]), 1) for i in range(count)]
     firsts = range(0, count, size)
     return [
         (np.minimum(np.arange(first, first + size), count - 1), min(size, count - first))
         for first in firsts
     ]
+
+
+def in_calls(run: Callable, count: int, sizes: tuple[int, ...]):
+    """Run a program over rows, in calls of few sizes: few programs serve any count.
+
+    Args:
+        run: from numbers of rows `[size]` to leaves `[size, ...]`. Those after the first `used`,
+            its second argument, are padding.
+        count: rows in all, at least 1.
+        sizes: of the calls, in ascending order: the smallest that suffices is used.
+
+    Returns:
+        The results of all rows on the host, leaves `[count, ...]`.
+    """
+    results, start = [], 0
+    while start < count:
+        size = next((n for n in sizes if n >= count - start), sizes[-1])
+        rows, used = np.minimum(np.arange(start, start + size), count - 1), min(size, count - start)
+        result = jax.device_get(run(rows, used))
+        results.append(jax.tree.map(lambda a, used=used: a[:used], result))
+        start += size
+    return results[0] if len(results) == 1 else jax.tree.map(lambda *a: np.concatenate(a), *results)
 
 
 def batched(kernel: Callable) -> Callable:
@@ -139,6 +169,18 @@ def in_chunks(kernel: Callable, *args, cpu_chunk: int = CPU_CHUNK):
         run, [to_chunks(a) for a, has_batch in zip(leaves, per_item, strict=True) if has_batch]
     )
     return jax.tree.map(lambda a: a.reshape(count * chunk, *a.shape[2:])[:size], results)
+
+
+def first_items(run: Callable, items: Array, used: Array):
+    """`jax.lax.map(run, items)` of the first `used` items; 0 for the others, which take no time."""
+    shapes = jax.eval_shape(run, items[0])
+    empty = jax.tree.map(lambda a: jnp.zeros((len(items), *a.shape), a.dtype), shapes)
+
+    def step(number, results):
+        new = run(items[number])
+        return jax.tree.map(lambda a, b: a.at[number].set(b), results, new)
+
+    return jax.lax.fori_loop(0, used, step, empty)
 
 
 def redo(kernel: Callable, args, found, pending, chunk: int):

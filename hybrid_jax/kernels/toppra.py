@@ -25,7 +25,7 @@ def _lines(slope: Array, bend: Array, step: Array, rate: Array) -> tuple[Array, 
     """Limits `|a u + b x| <= c` of each point, for itself and the next one; a >= 0.
 
     Args:
-        slope, bend, rate: `[point, joint]`, see `fastest_speeds`.
+        slope, bend, rate: `[point, joint]`, see `controllable_speeds`.
         step: `[point]`.
 
     Returns:
@@ -55,15 +55,16 @@ def _still_bounds(slope: Array, step: Array, lines, speed: Array, cap: Array) ->
     return jnp.minimum(bound, jnp.min(_ratio(double_step * c, double_step * b - a), axis=1))
 
 
-def fastest_speeds(
+def controllable_speeds(
     slope: Float[Array, "point n"],
     bend: Float[Array, "point n"],
     step: Float[Array, " point"],
     speed: Float[Array, "point n"],
     rate: Float[Array, "point n"],
     cap: Float[Array, " point"],
+    after: Float[Array, ""],
 ) -> Float[Array, " point"]:
-    """Squared speed along a path at each of its points, from rest to rest.
+    """Largest squared speed at each point of a path from which the rest of it can be followed.
 
     Args:
         slope, bend: `[point, joint]` first and second derivative of the joint values by the path's
@@ -73,30 +74,51 @@ def fastest_speeds(
         speed, rate: `[point, joint]` velocity [rad/s or m/s] and acceleration limits [rad/s^2 or
             m/s^2] of the joints at each point.
         cap: `[point]` largest speed of the parameter at each point [1/s].
+        after: `[]` the same at the last of these points, from what follows it [1/s^2].
 
     Returns:
-        `[point]` squared speed of the parameter [1/s^2]; zero at the first and the last point.
+        `[point]` squared speed of the parameter [1/s^2]; the last one is `after`.
     """
     a, b, c = lines = _lines(slope, bend, step, rate)
     bound = _still_bounds(slope, step, lines, speed, cap)
-    at_end = step <= 0
 
-    # backwards: the end of the speeds from which those controllable at the next point are reached
     def retreat(after, row):
         a, b, c, double_step, bound, at_end = row
         controllable = jnp.min(_ratio(a * after + double_step * c, a - double_step * b))
         end = jnp.where(at_end, 0.0, INSIDE * jnp.minimum(bound, controllable))
         return end, end
 
-    rows = a, b, c, 2 * step, bound, at_end
-    ends = jax.lax.scan(retreat, jnp.zeros(()), rows, reverse=True, unroll=4)[1]
+    rows = jax.tree.map(lambda row: row[:-1], (a, b, c, 2 * step, bound, step <= 0))
+    ends = jax.lax.scan(retreat, after, rows, reverse=True, unroll=4)[1]
+    return jnp.append(ends, after)
 
-    # forwards: the largest acceleration that stays within those sets
+
+def greatest_speeds(
+    slope: Float[Array, "point n"],
+    bend: Float[Array, "point n"],
+    step: Float[Array, " point"],
+    rate: Float[Array, "point n"],
+    controllable: Float[Array, " point"],
+    here: Float[Array, ""],
+) -> Float[Array, " point"]:
+    """Squared speed at each point of a path if it always accelerates as much as it may.
+
+    Args:
+        slope, bend, step, rate: as for `controllable_speeds`.
+        controllable: `[point]` its result [1/s^2].
+        here: `[]` squared speed at the first point [1/s^2].
+
+    Returns:
+        `[point]` squared speed of the parameter [1/s^2].
+    """
+    a, b, c = _lines(slope, bend, step, rate)
+
     def advance(here, row):
         a, b, c, double_step, end = row
         push = jnp.min(_ratio(c - b * here, a))
         after = jnp.clip(here + double_step * push, 0.0, end)
         return after, here
 
-    rows = a, b, c, 2 * step, jnp.roll(ends, -1).at[-1].set(0.0)
-    return jax.lax.scan(advance, jnp.zeros(()), rows, unroll=4)[1]
+    rows = *(row[:-1] for row in (a, b, c, 2 * step)), controllable[1:]
+    last, speeds = jax.lax.scan(advance, here, rows, unroll=4)
+    return jnp.append(speeds, last)

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import jax
 import numpy as np
 
-from hybrid_jax.kernels.batching import padded_chunks
-from hybrid_jax.planner.path_ik import Labels, PathIkConfig, label_tasks
+from hybrid_jax.planner.key_pose_ik import PathIkConfig
+from hybrid_jax.planner.path_ik import Labels, label_tasks
 from hybrid_jax.tasks.task import Task
 from hybrid_jax.types import Scene, Workcell
 
@@ -220,18 +220,17 @@ def label_paths(
         The legs of each task.
     """
     routes = []
-    for index, count in padded_chunks(len(tasks), TASKS_PER_CALL):
+    for first in range(0, len(tasks), TASKS_PER_CALL):
+        index = range(first, min(first + TASKS_PER_CALL, len(tasks)))
         batch = jax.tree.map(lambda *a: np.stack(a), *[scenes[i] for i in index])
         starts, any_end = np.stack([tasks[i].start for i in index]), tasks[index[0]].end is None
-        ends = None if any_end else np.stack([tasks[i].end for i in index])
+        ends = None if any_end else np.stack([np.asarray(tasks[i].end) for i in index])
         batch_poses = np.stack([poses[i] for i in index])
-        labels = jax.device_get(
-            label_tasks(cell, batch, batch_poses, starts, ends, scale, key, index, config)
-        )
+        labels = label_tasks(cell, batch, batch_poses, starts, ends, scale, key, index, config)
         join_config = config
         if direct:  # every segment is a gap, also where one small step would join its ends
             labels, join_config = _without_steps(labels), replace(config, max_jump=0.0)
-        for i in range(count):
-            task_labels = jax.tree.map(lambda a, i=i: a[i], labels)
-            routes.append(Routes(task_labels, gripper_events(tasks[index[i]]), join_config))
+        for row, number in enumerate(index):
+            task_labels = jax.tree.map(lambda a, row=row: a[row], labels)
+            routes.append(Routes(task_labels, gripper_events(tasks[number]), join_config))
     return routes

@@ -8,19 +8,19 @@ import jax
 import numpy as np
 
 from hybrid_jax.contracts import STEPS, Combined
-from hybrid_jax.kernels.kinematics import manipulability
+from hybrid_jax.kernels.kinematics import chain_manipulability
 from hybrid_jax.planner.smoothing import at_places
 from hybrid_jax.runtime.kept_programs import kept
-from hybrid_jax.types import Source, Workcell
+from hybrid_jax.types import KinematicChain, Source, Workcell
 
 LEAST = 20
 """Smallest number of grid points of a bridged gap."""
 
 
 @kept
-def _manipulabilities(cell: Workcell, q):
+def _manipulabilities(chain: KinematicChain, q):
     """Manipulability `[point]` at configurations `[point, joint]`."""
-    return jax.vmap(manipulability, (None, 0))(cell, q)
+    return jax.vmap(chain_manipulability, (None, 0))(chain, q)
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ def combine(cell: Workcell, phase: PhasePath, scale: float) -> Combined:
         q_drl[in_window] = at_places(window.path, _places(window.path, shares[in_window]))
     available = (window_at >= 0).astype(np.float32)
     q = np.stack([q_skill, q_drl]).astype(np.float32)
-    man = np.asarray(_manipulabilities(cell, q.reshape(-1, q.shape[-1])))
+    man = np.asarray(_manipulabilities(cell.chain, q.reshape(-1, q.shape[-1])))
     man_share = np.clip(man / scale, 0, 1).reshape(2, STEPS)
     infeasible = np.stack([~ok, available == 0])
     leaves: list[Any] = [np.asarray(a, np.float32) for a in (q, man_share, infeasible, available)]

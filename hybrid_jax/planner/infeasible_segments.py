@@ -13,8 +13,8 @@ import numpy as np
 from hybrid_jax.contracts import Segments, SkillChooser
 from hybrid_jax.errors import InputError
 from hybrid_jax.planner.branch_selection import TASKS_PER_CALL, Leg, Routes, label_paths
+from hybrid_jax.planner.key_pose_ik import PathIkConfig
 from hybrid_jax.planner.lfd import skill_paths
-from hybrid_jax.planner.path_ik import PathIkConfig
 from hybrid_jax.planner.phase_scenes import task_scenes
 from hybrid_jax.skills.library import SkillConfig, SkillLibrary
 from hybrid_jax.tasks.registry import random_task

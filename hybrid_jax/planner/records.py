@@ -4,7 +4,7 @@
 from dataclasses import dataclass, replace
 
 from hybrid_jax.contracts import Bridger, SkillChooser, Switcher
-from hybrid_jax.planner.path_ik import PathIkConfig
+from hybrid_jax.planner.key_pose_ik import PathIkConfig
 from hybrid_jax.planner.smoothing import SmoothingConfig
 from hybrid_jax.planner.timing import TimingConfig
 from hybrid_jax.planner.trajectory_check import CheckConfig

@@ -191,7 +191,7 @@ def _begin(cell: Workcell, start: Array, goal: Array, key: Array, config: RrtCon
     return search.replace(branches=branches)
 
 
-@kept(static=("config",))
+@kept(static=("config",), hot=True)
 def _search(cell: Workcell, scenes: Scene, starts, goals, keys, config: RrtConfig) -> _Search:
     """Search all problems in lockstep; all leaves have a leading axis `[problem]`."""
 

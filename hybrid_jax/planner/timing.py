@@ -10,15 +10,13 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import maximum_filter1d
 
 from hybrid_jax.kernels import dualquat as dq
-from hybrid_jax.kernels.batching import padded_chunks
+from hybrid_jax.kernels.batching import in_calls, padded_chunks
 from hybrid_jax.kernels.kinematics import tool_pose
-from hybrid_jax.kernels.toppra import fastest_speeds
+from hybrid_jax.planner.path_parameterization import BLOCK, fastest_speeds
 from hybrid_jax.planner.speed_profile import SpeedProfile, rounded, sample_speeds
 from hybrid_jax.runtime.kept_programs import kept
 from hybrid_jax.types import Trajectory, Workcell
 
-LEAST_GRID = 512
-"""Number of points of the smallest grid; larger grids double it, so that few sizes are traced."""
 BETWEEN = 2
 """Smallest number of grid steps between two points of a path."""
 PATHS_PER_CALL = 4
@@ -48,12 +46,6 @@ _NO_CAP = 1e9
 def _tool_positions(cell: Workcell, q):
     """Positions of the tool `[point, 3]` at configurations `[point, joint]` [m]."""
     return jax.vmap(lambda point: dq.position(tool_pose(cell, point)))(q)
-
-
-@kept
-def _speeds(block: list):
-    """`fastest_speeds` of several paths: its arguments `[path, ...]`, to `[path, point]`."""
-    return jax.vmap(fastest_speeds)(*block)
 
 
 @dataclass(frozen=True)
@@ -99,7 +91,7 @@ class _Path:
         if self.usable:
             self.spline = CubicSpline(self.knots, q)
             steps = len(q) - 1
-            between = max(BETWEEN, (LEAST_GRID - 1) // steps)
+            between = max(BETWEEN, (BLOCK - 1) // steps)
             places = np.arange(between * steps + 1) / between
             self.grid = np.interp(places, np.arange(len(q)), self.knots)
             self.slope, self.bend = self.spline(self.grid, 1), self.spline(self.grid, 2)
@@ -112,12 +104,13 @@ class _Path:
         """Values `[grid, ...]`, the last one repeated up to `size`."""
         return np.concatenate([values, values[-1:].repeat(size - len(values), axis=0)])
 
-    def cap_tool_speed(self, cell: Workcell, size: int) -> None:
+    def cap_tool_speed(self, cell: Workcell) -> None:
         """Limit the speed along the path so that the tool keeps its own limit."""
         if np.isinf(self.limits.tool_speed):
             return
-        q = self.spline(self.filled(self.grid, size)).astype(np.float32)
-        tool_positions = np.asarray(_tool_positions(cell, q), float)[: len(self.grid)]
+        q = self.spline(self.grid).astype(np.float32)
+        run = lambda rows, used: _tool_positions(cell, q[rows])  # noqa: E731
+        tool_positions = in_calls(run, len(q), (BLOCK,)).astype(float)
         slope = np.linalg.norm(np.diff(tool_positions, axis=0), axis=1) / np.diff(self.grid)
         steepest = np.maximum(np.append(slope, slope[-1]), np.append(slope[0], slope))
         self.caps = self.limits.tool_speed / np.maximum(steepest, 1e-9)
@@ -257,7 +250,8 @@ def time_parameterize(
     ]
     rows = [i for i, path in enumerate(splines) if path.usable]
     trajectories: list[Trajectory | None] = [None] * len(paths)
-    for index, count in padded_chunks(len(rows), PATHS_PER_CALL):
+    # a program for one path would take longer to load than it saves
+    for index, count in padded_chunks(len(rows), PATHS_PER_CALL, single=False):
         motions = _time_together(cell, [splines[rows[i]] for i in index], config)
         for i, motion in zip(index[:count], motions[:count], strict=True):
             trajectories[rows[i]] = motion
@@ -268,12 +262,10 @@ def _time_together(
     cell: Workcell, paths: list[_Path], config: TimingConfig
 ) -> list[Trajectory | None]:
     """Motions along the paths of one call of the kernel; a path may occur several times."""
-    size = LEAST_GRID
-    while size < max(len(path.grid) for path in paths):
-        size *= 2
+    size = max(len(path.grid) for path in paths)
     path_of = {id(path): path for path in paths}
     for path in path_of.values():
-        path.cap_tool_speed(cell, size)
+        path.cap_tool_speed(cell)
     fastest = {}
     for width in (RAMP,) if config.jerk is None else (RAMP, *WIDER):
         for name, profile in _profiles(paths, size, width, min(FINEST, config.sample_time)).items():
@@ -299,7 +291,7 @@ def _profiles(
     for _ in range(ROUNDS):
         rows = {id(path): path.rows(size) for path in paths}
         block = [np.stack(a) for a in zip(*(rows[id(path)] for path in paths), strict=True)]
-        squared = dict(zip(map(id, paths), np.asarray(_speeds(block)), strict=True))
+        squared = dict(zip(map(id, paths), fastest_speeds(*block), strict=True))
         for name, path in list(pending.items()):
             profile = path.profile(squared[name], width, period)
             if profile is not None:

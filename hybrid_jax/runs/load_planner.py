@@ -7,6 +7,7 @@ from pathlib import Path
 import jax
 
 from hybrid_jax.agents import dqn, joint, networks, switching
+from hybrid_jax.agents.joint_bridger import make_bridger
 from hybrid_jax.contracts import Bridger, SkillChooser, Switcher
 from hybrid_jax.demonstrations.demonstration import load_demonstrations
 from hybrid_jax.errors import RunFolderError
@@ -76,7 +77,7 @@ def load_bridger(run: Run, name: str = "drl.npz") -> Bridger:
     cell, config = run.cell, run.preset.joint
     net = joint.make_net(cell, config)
     policy = load_policy(run, name, "joint agent", net, joint.observation_length(cell, config))
-    return joint.make_bridger(cell, policy, config)
+    return make_bridger(cell, policy, config)
 
 
 def load_chooser(run: Run) -> SkillChooser:

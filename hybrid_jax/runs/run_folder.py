@@ -12,7 +12,7 @@ from typing import Any
 from hybrid_jax.errors import InputError, RunFolderError, UnknownNameError
 from hybrid_jax.runs.presets import PRESETS, Preset, find_preset
 from hybrid_jax.runs.settings import as_values, from_values
-from hybrid_jax.runtime import artifacts
+from hybrid_jax.runtime import artifacts, output_files
 from hybrid_jax.runtime.input_files import read_text
 from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.load import load_workcell
@@ -189,7 +189,7 @@ def create_run(
         "configuration": as_values(settings),
     }
     try:
-        artifacts.write_new(folder / "config.json", json.dumps(values, indent=1))
+        output_files.write_new(folder / "config.json", json.dumps(values, indent=1))
     except FileExistsError:
         raise RunFolderError(
             f"{folder} already holds a run; add --resume to go on with it, or choose another --out"

@@ -42,6 +42,8 @@ HOLDING = range(5_600_000, 5_600_100)
 """Scenes in which objects are held."""
 ROUND_TRIPS = range(5_700_000, 5_710_000)
 """Random arms and motions that are written to files, read back and followed."""
+LATENCY = range(5_900_000, 5_910_000)
+"""Tasks whose first plans are timed, in fresh processes and in long ones."""
 
 SEEN = ("EXAMPLES", "SPENT", "TRAINING", "BENCHMARK_TRAINING", "LFD_TRAINING", "VALIDATION")
 """Names of the ranges used for training, tuning or inspection."""
@@ -57,5 +59,6 @@ HELD_OUT = (
     "LFD_TEST",
     "HOLDING",
     "ROUND_TRIPS",
+    "LATENCY",
 )
 """Names of the ranges of studies and tests."""

@@ -7,7 +7,6 @@ The file that marks a stage as finished is written last, so a run can be stopped
 import functools
 import json
 from collections.abc import Callable
-from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -30,8 +29,8 @@ from hybrid_jax.runs import seeds
 from hybrid_jax.runs.checkpoints import discard, train_agent
 from hybrid_jax.runs.load_planner import load_planner, read_library, read_scale
 from hybrid_jax.runs.run_folder import Run
-from hybrid_jax.runs.switch_problems import combined_phases
-from hybrid_jax.runtime import artifacts
+from hybrid_jax.runs.switch_problems import switch_problems
+from hybrid_jax.runtime import artifacts, output_files
 from hybrid_jax.runtime.progress import Progress
 from hybrid_jax.runtime.terminal import remark
 from hybrid_jax.skills.costs import SegmentCosts, pad_task, segment_costs
@@ -191,30 +190,22 @@ def run_drl(run: Run, quiet: bool) -> dict:
     }
 
 
-def combined_problems(run: Run, quiet: bool) -> Combined:
+def combined_problems(run: Run) -> Combined:
     """Combined trajectories (traj_comb) of the training tasks' phases that have gaps.
 
     Returns:
         `[problem, ...]`: configurations `[problem, 2, STEPS, joint]` [rad].
     """
-    cell, preset = run.cell, run.preset
     planner = load_planner(run, switch="optimal")
-    numbers = range(TRAINING_TASKS, TRAINING_TASKS + preset.switch_tasks)
-    tasks, key = [random_task(cell, number) for number in numbers], jax.random.key(run.seed)
-    phases = combined_phases(planner, tasks, key)
-    if not phases:
-        remark(
-            "switch: the joint agent bridged no training segment (train it for longer); the "
-            "switching agent sees the skills' motions alone"
-        )
-        phases = combined_phases(replace(planner, bridge=None), tasks, key)
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *phases)
+    numbers = range(TRAINING_TASKS, TRAINING_TASKS + run.preset.switch_tasks)
+    tasks = [random_task(run.cell, number) for number in numbers]
+    return switch_problems(planner, tasks, jax.random.key(run.seed))
 
 
 def run_switch(run: Run, quiet: bool) -> dict:
     """Train discrete PPO on combined trajectories (Algorithm 1, "Train Switching Agent")."""
     config = run.preset.switch
-    problems = combined_problems(run, quiet)
+    problems = combined_problems(run)
     net = switching.make_net(run.cell.home.size, config)
     state = train_agent(
         run, "switch", switching.SwitchEnv(problems, config), net, config.training, quiet
@@ -263,7 +254,7 @@ def run_showcase(run: Run, quiet: bool) -> dict:
         "touched": showcase.touched,
     }
     text = json.dumps({"summary": summary, "objects": rows}, indent=1)
-    artifacts.write_text(run.path("showcase.json"), text)
+    output_files.write_text(run.path("showcase.json"), text)
     return summary
 
 

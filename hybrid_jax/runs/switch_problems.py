@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import jax
+import jax.numpy as jnp
 from jax import Array
 
 from hybrid_jax.contracts import Combined
@@ -14,7 +15,32 @@ from hybrid_jax.planner.pipeline import Job, bridge_jobs, choose_route, prepare
 from hybrid_jax.planner.records import Planner
 from hybrid_jax.planner.trajectory_check import ConfigurationChecker
 from hybrid_jax.planner.trajectory_generation import Draft, first_scenes, phase_paths
+from hybrid_jax.runtime.terminal import remark
 from hybrid_jax.tasks.task import Task
+
+
+def switch_problems(planner: Planner, tasks: Sequence[Task], key: Array) -> Combined:
+    """Problems of the switching agent: the phases of some tasks that have gaps, stacked.
+
+    Where the joint agent bridges no gap at all, as one that was trained for seconds, the skills'
+    motions stand in for its own; a line says so.
+
+    Args:
+        planner: with a joint agent.
+        tasks: whose phases are looked for.
+        key: random key.
+
+    Returns:
+        `[problem, ...]`: configurations `[problem, 2, STEPS, joint]` [rad].
+    """
+    phases = combined_phases(planner, tasks, key)
+    if not phases:
+        remark(
+            f"switch: the joint agent bridged no gap of {len(tasks)} tasks (train it for longer); "
+            "their problems hold the skills' motions alone"
+        )
+        phases = combined_phases(replace(planner, bridge=None), tasks, key)
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *phases)
 
 
 def combined_phases(planner: Planner, tasks: Sequence[Task], key: Array) -> list[Combined]:

@@ -3,14 +3,13 @@
 
 import contextlib
 import os
-import re
-from pathlib import Path
 
 import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from hybrid_jax.errors import DeviceError
+from hybrid_jax.runtime.compiler_options import vector_options
 
 
 def use_all_cores() -> None:
@@ -46,20 +45,6 @@ def require_device() -> None:
             f"JAX has no device of the platforms {platforms!r} that JAX_PLATFORMS asks for"
             f"{f' ({error})' if str(error) else ''}; JAX_PLATFORMS=cpu uses the processor"
         ) from None
-
-
-def vector_options() -> dict[str, int] | None:
-    """Compiler options of XLA for element-wise kernels on this machine; None for the defaults.
-
-    By default XLA avoids the widest vectors of x86 processors, which lowered the clock of earlier
-    ones; the clearance kernel is 13 % faster with them.
-    """
-    cpuinfo = Path("/proc/cpuinfo")
-    has_avx512 = cpuinfo.is_file() and re.search(
-        r"^flags.*\bavx512f\b", cpuinfo.read_text(), re.MULTILINE
-    )
-    on_cpu = jax.default_backend() == "cpu"
-    return {"xla_cpu_prefer_vector_width": 512} if has_avx512 and on_cpu else None
 
 
 class Spread:

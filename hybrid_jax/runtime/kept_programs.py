@@ -10,6 +10,7 @@ processes read it and trace nothing.
 import functools
 import inspect
 import threading
+import weakref
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -21,7 +22,9 @@ from jax.core import Tracer
 
 from hybrid_jax.runtime import program_files
 from hybrid_jax.runtime.compile_cache import enable_compile_cache
+from hybrid_jax.runtime.compiler_options import few_pieces, quick_options
 from hybrid_jax.runtime.devices import require_device
+from hybrid_jax.runtime.program_durations import making
 from hybrid_jax.runtime.tree_descriptions import describe, structure_of
 
 traced: list[str] = []
@@ -35,6 +38,7 @@ def kept(
     function: Callable | None = None,
     *,
     static: tuple[str, ...] = (),
+    hot: bool = False,
 ) -> Callable[..., Any]:
     """Compile a function like `jax.jit`, and keep its traced program on disk.
 
@@ -44,26 +48,44 @@ def kept(
             `for_programs` is replaced by its result.
         static: names of arguments that are part of the program. Their `repr` must tell all that the
             program depends on: frozen dataclasses, numbers, strings and tuples of them.
+        hot: how long it runs matters more than how long it is compiled: see `quick_options`.
 
     Returns:
         A function of the same arguments; a decorator if `function` is None. Called while JAX traces
         it is as `jax.jit` makes it.
     """
     if function is None:
-        return functools.partial(kept, static=static)
-    return functools.wraps(function)(KeptProgram(function, static))
+        return functools.partial(kept, static=static, hot=hot)
+    return functools.wraps(function)(KeptProgram(function, static, hot))
+
+
+_all: weakref.WeakSet = weakref.WeakSet()
+
+
+def forget_programs() -> None:
+    """Drop all programs that this process holds: each takes memory maps, which Linux limits."""
+    for program in list(_all):
+        program.forget()
+    jax.clear_caches()
 
 
 class KeptProgram:
     """A function whose programs are kept: one for each structure and shape of its arguments."""
 
-    def __init__(self, function: Callable, static: tuple[str, ...]):
+    def __init__(self, function: Callable, static: tuple[str, ...], hot: bool):
         self._function = function
         self._static = static
+        self._hot = hot
         self._jitted = jax.jit(function, static_argnames=static)
         self._signature = inspect.signature(function)
         self._programs: dict[tuple, Callable] = {}
-        self._lock = threading.RLock()
+        self._being_made: dict[tuple, Future] = {}
+        self._lock = threading.Lock()
+        _all.add(self)
+
+    def forget(self) -> None:
+        """Drop the programs that this process holds; they are read again when they are needed."""
+        self._programs.clear()
 
     def __call__(self, *args, **kwargs):
         bound = self._signature.bind(*args, **kwargs)
@@ -72,22 +94,43 @@ class KeptProgram:
         constants = tuple(arguments.pop(name) for name in self._static)
         shown = {name: _for_programs(value) for name, value in arguments.items()}
         leaves, structure = jax.tree.flatten(shown)
-        if any(_needs_jit(leaf) for leaf in leaves):
+        x64 = jax.config.read("jax_enable_x64")
+        shapes = _shapes(leaves, x64)
+        if shapes is None:
             return self._jitted(*args, **kwargs)
-        shapes = tuple(_shape(leaf) for leaf in leaves)
-        key = structure, shapes, constants, jax.config.read("jax_enable_x64")
+        key = structure, shapes, constants, x64
         program = self._programs.get(key)
         if program is None:
-            with self._lock:
-                if key not in self._programs:
-                    self._programs[key] = self._make(structure, leaves, constants, key)
-                program = self._programs[key]
+            program = self._made_once(structure, leaves, constants, key)
         return program(*leaves)
+
+    def _made_once(self, structure, leaves: list, constants: tuple, key: tuple) -> Callable:
+        """The program, made by the first thread that asks for it; the others wait."""
+        with self._lock:
+            future = self._being_made.get(key)
+            is_mine = future is None
+            if future is None:
+                future = self._being_made[key] = Future()
+        if not is_mine:
+            return future.result()
+        try:
+            with making(self._function.__name__):
+                self._programs[key] = self._make(structure, leaves, constants, key)
+        except BaseException as error:
+            future.set_exception(error)
+            raise
+        else:
+            future.set_result(self._programs[key])
+            return self._programs[key]
+        finally:
+            with self._lock:
+                del self._being_made[key]
 
     def _make(self, structure, leaves: list, constants: tuple, key: tuple) -> Callable:
         """The program for arguments of one structure and shape, read or made."""
         about = f"{self._function.__module__}.{self._function.__qualname__}", key
-        path = program_files.file_of(self._function.__name__, about)
+        ending = program_files.HOT if self._hot else program_files.ENDING
+        path = program_files.file_of(self._function.__name__, about, ending)
         if path:
             _note(path.name)
         kept_one = path and (_taken(path) or _load(path))
@@ -115,7 +158,7 @@ class KeptProgram:
             if path:
                 program_files.write(path, exported, describe(results[0]))
             # it runs as it is read later: both have one entry in the compile cache
-            run = jax.jit(exported.call)
+            run = _compiled(exported, self._hot)
 
         def program(*leaves):
             flat_result = run(*leaves)
@@ -129,23 +172,28 @@ def _for_programs(argument):
     return argument.for_programs() if hasattr(argument, "for_programs") else argument
 
 
-def _needs_jit(leaf) -> bool:
-    """Must JAX itself handle this argument: traced, or on other devices than the default one?"""
-    if isinstance(leaf, Tracer):
-        return True
-    return isinstance(leaf, jax.Array) and leaf.sharding.device_set != _default_device()
+def _shapes(leaves: list, x64: bool) -> tuple | None:
+    """Shapes and types of arguments, as programs are told apart.
+
+    None where JAX itself must handle one: it is traced, or on other devices than the default one.
+    This is done at each call, for some 50 arguments, so it is kept short.
+    """
+    shapes, default = [], _default_sharding()
+    for leaf in leaves:
+        if isinstance(leaf, jax.Array):
+            if isinstance(leaf, Tracer) or leaf.sharding != default:
+                return None
+            shapes.append((leaf.shape, leaf.dtype))
+        elif hasattr(leaf, "dtype"):
+            shapes.append((leaf.shape, _canonical(leaf.dtype, x64)))
+        else:
+            shapes.append(((), type(leaf)))
+    return tuple(shapes)
 
 
 @functools.cache
-def _default_device() -> set:
-    return {jax.devices()[0]}
-
-
-def _shape(leaf) -> tuple:
-    """Shape and type of an argument, as programs are told apart."""
-    if hasattr(leaf, "dtype"):
-        return leaf.shape, _canonical(leaf.dtype, jax.config.read("jax_enable_x64"))
-    return (), type(leaf)
+def _default_sharding() -> jax.sharding.Sharding:
+    return jax.sharding.SingleDeviceSharding(jax.devices()[0])
 
 
 @functools.cache
@@ -198,8 +246,18 @@ def _load_ahead(path: Path) -> tuple[Callable, str] | None:
     if found is None:
         return None
     exported, description = found
+    return _compiled(exported, _is_hot(path)), description
+
+
+def _is_hot(path: Path) -> bool:
+    return path.name.endswith(program_files.HOT)
+
+
+def _compiled(exported: export.Exported, hot: bool) -> Callable:
+    """A program that is ready to run: compiled, or read from the compile cache."""
     shapes = [jax.ShapeDtypeStruct(aval.shape, aval.dtype) for aval in exported.in_avals]
-    return jax.jit(exported.call).lower(*shapes).compile(), description
+    options = few_pieces() if hot else quick_options()
+    return jax.jit(exported.call).lower(*shapes).compile(compiler_options=options)
 
 
 def _taken(path: Path) -> tuple[Callable, Any] | None:
@@ -212,7 +270,7 @@ def _taken(path: Path) -> tuple[Callable, Any] | None:
 def _load(path: Path) -> tuple[Callable, Any] | None:
     """The program of a file and the structure of its result; None where the file is no good."""
     found = program_files.read(path)
-    return found and _with_structure(jax.jit(found[0].call), found[1])
+    return found and _with_structure(_compiled(found[0], _is_hot(path)), found[1])
 
 
 def _with_structure(run: Callable, description: str) -> tuple[Callable, Any] | None:

@@ -18,13 +18,15 @@ import jax
 import numpy as np
 from jax import export
 
-from hybrid_jax.runtime.artifacts import write_bytes
 from hybrid_jax.runtime.compile_cache import cache_folder
+from hybrid_jax.runtime.output_files import write_bytes
 
 LIMIT = 256 * 2**20
 """Largest total size of the files [bytes]; the ones that were not used for longest go first."""
 ENDING, LIST, ARRAY = ".program", ".list", ".array"
 """Endings of the files of programs, of lists of such files, one a line, and of arrays."""
+HOT = f".hot{ENDING}"
+"""Ending of the file of a program that is compiled to run fast, not to be ready soon."""
 _CHECKSUM = hashlib.sha256().digest_size
 _PACKAGE = Path(__file__).resolve().parents[1]
 

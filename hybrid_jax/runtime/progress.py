@@ -5,7 +5,7 @@ import contextlib
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 LIVE, DEAD = 0.2, 10.0
 """Time between two lines: on a terminal, where one overwrites the other, and elsewhere [s]."""
@@ -46,13 +46,23 @@ class Progress:
 
 
 @contextlib.contextmanager
-def working(stage: str, what: str, quiet: bool = False) -> Iterator[None]:
-    """Context that shows the time elapsed so far of work whose duration is unknown."""
+def working(
+    stage: str, what: str, quiet: bool = False, waits_for: Callable[[], str] = str
+) -> Iterator[None]:
+    """Context that shows the time elapsed so far of work whose duration is unknown.
+
+    Args:
+        stage: first word of the line.
+        what: is being done.
+        quiet: show nothing.
+        waits_for: says what is waited for at the moment; nothing if empty.
+    """
     began, live, quit_event = time.monotonic(), sys.stderr.isatty(), threading.Event()
 
     def tell():
         while not quit_event.wait(LIVE if live else DEAD):
-            _write(f"{stage:8s} {what}, {time.monotonic() - began:.0f} s", live, False)
+            elapsed = f"{stage:8s} {what}, {time.monotonic() - began:.0f} s"
+            _write("; ".join(filter(None, [elapsed, waits_for()])), live, False)
 
     teller = threading.Thread(target=tell, daemon=True)
     if not quiet:

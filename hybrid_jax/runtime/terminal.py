@@ -6,6 +6,7 @@ a file that cannot be read or written; 70 a defect of this package; 130 stopped 
 """
 
 import _thread
+import gc
 import json
 import os
 import sys
@@ -44,9 +45,15 @@ def _interrupt_again(dropped) -> None:
         sys.__unraisablehook__(dropped)
 
 
+def collect_garbage_rarely() -> None:
+    """Let Python look for garbage more rarely: tracing a program makes many objects that stay."""
+    gc.set_threshold(100_000, 50, 50)
+
+
 def run_cli(command: Callable[[], int]) -> None:
     """Run a command and exit with its code; errors are printed as one sentence."""
     sys.unraisablehook = _interrupt_again
+    collect_garbage_rarely()
     os.environ["JAX_ENABLE_X64"] = "0"  # the kernels' arrays are float32
     try:
         code = command()

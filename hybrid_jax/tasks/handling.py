@@ -10,11 +10,12 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from hybrid_jax.tasks.scene_sampling import require_kind, sample_scene
 from hybrid_jax.tasks.task import Hold, Task, as_dual_quats, home_pose, start_of, upright, yaw_of
-from hybrid_jax.types import Workcell, WorkcellSource
+from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.description import LENGTH, ControllerSpec, GripperSpec
 from hybrid_jax.workcell.layout import home_qpos
 from hybrid_jax.workcell.poses import as_row, pose_of
 from hybrid_jax.workcell.records import Within, by_name, record, records
+from hybrid_jax.workcell.source import WorkcellSource
 
 EXECUTION = "hybrid_jax.execution.handling"
 STUDY = "hybrid_jax.studies.handling"

@@ -121,39 +121,55 @@ def read_task(cell: Workcell, path: Path | str) -> Task:
     Raises:
         TaskError: unreadable, or a field that is missing or of the wrong shape.
     """
-    path = Path(path)
     try:
-        values = json.loads(read_text(path, TaskError))
+        values = json.loads(read_text(Path(path), TaskError))
     except (ValueError, RecursionError) as error:
         raise TaskError(f"{path}: {error}") from None
+    return task_of(cell, values, str(path))
+
+
+def task_of(cell: Workcell, values, name: str) -> Task:
+    """The task that the content of a task file describes, see `read_task`.
+
+    Args:
+        cell: with task data.
+        values: what JSON holds.
+        name: what sentences about errors begin with.
+
+    Returns:
+        Key poses `[pose, 8]` and what happens between them.
+
+    Raises:
+        TaskError: a field that is missing or of the wrong shape.
+    """
     fields = ("object", "scene_seed", "object_poses", "key_poses")
     if not isinstance(values, dict) or not isinstance(values.get("object"), str):
-        raise TaskError(f"{path}: needs a field 'object' with the name of an object")
+        raise TaskError(f"{name}: needs a field 'object' with the name of an object")
     if unknown := set(values) - set(fields):
-        raise TaskError(f"{path}: unknown field {min(unknown)!r}; there are: {', '.join(fields)}")
+        raise TaskError(f"{name}: unknown field {min(unknown)!r}; there are: {', '.join(fields)}")
     if "object_poses" in values:
         count = len(cell.source.layout.object_names)
-        poses = _rows(path, "object_poses", values["object_poses"], count)
+        poses = _rows(name, "object_poses", values["object_poses"], count)
     else:
-        poses = sample_scene(cell, _seed(path, values.get("scene_seed", 0)))
+        poses = sample_scene(cell, _seed(name, values.get("scene_seed", 0)))
     task = make_task(cell, values["object"], poses)
     if "key_poses" not in values:
         return task
     count = len(task.key_poses[task.given])
-    return with_key_poses(cell, task, _rows(path, "key_poses", values["key_poses"], count))
+    return with_key_poses(cell, task, _rows(name, "key_poses", values["key_poses"], count))
 
 
-def _seed(path: Path, value) -> int:
+def _seed(name: str, value) -> int:
     """Seed of a random scene from a file, checked."""
     # `bool` is a subclass of `int`: JSON's `true` is refused by name
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**63:
-        raise TaskError(f"{path}: scene_seed must be a whole number from 0 on, got {value!r}")
+        raise TaskError(f"{name}: scene_seed must be a whole number from 0 on, got {value!r}")
     return value
 
 
-def _rows(path: Path, field: str, values, count: int) -> np.ndarray:
+def _rows(name: str, field: str, values, count: int) -> np.ndarray:
     """Poses of a file, `[count, 7]`: position [m], quaternion brought to length 1."""
-    rule = f"{path}: {field} must be {count} finite rows of x, y, z [m], qw, qx, qy, qz"
+    rule = f"{name}: {field} must be {count} finite rows of x, y, z [m], qw, qx, qy, qz"
     try:
         rows = np.asarray(values, np.float32)
     except (TypeError, ValueError, OverflowError):

@@ -4,15 +4,17 @@
 from dataclasses import dataclass
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from hybrid_jax.contracts import PlanResult
-from hybrid_jax.kernels.collision.clearance import clearance
+from hybrid_jax.kernels.batching import in_calls
+from hybrid_jax.kernels.collision.distance import FAR
+from hybrid_jax.kernels.collision.motion_validation import path_clearance
 from hybrid_jax.kernels.kinematics import tool_pose
 from hybrid_jax.planner.phase_scenes import in_scene, phase_scene, segment_kinds
 from hybrid_jax.planner.timeline import timeline
 from hybrid_jax.planner.trajectory_check import PhaseScene
+from hybrid_jax.runtime.kept_programs import kept
 from hybrid_jax.tasks.task import Task, as_rows
 from hybrid_jax.types import Trajectory, Workcell
 from hybrid_jax.workcell.layout import home_qpos
@@ -23,8 +25,11 @@ RATE = 30.0
 CONFIGURATIONS_PER_CALL = 128
 """Configurations of one kernel call."""
 
-_clearances = jax.jit(jax.vmap(clearance, (None, 0)))
-_tools = jax.jit(jax.vmap(tool_pose, (None, 0)))
+
+@kept
+def _tools(cell: Workcell, q):
+    """Tool poses `[point, 8]` at configurations `[point, joint]`."""
+    return jax.vmap(tool_pose, (None, 0))(cell, q)
 
 
 @dataclass(frozen=True)
@@ -58,26 +63,6 @@ def resting_qpos(cell: Workcell, object_poses: np.ndarray, q: np.ndarray) -> np.
     return qpos
 
 
-def in_pieces(function, cell: Workcell, q: np.ndarray) -> np.ndarray:
-    """Run a batched kernel on many configurations, in calls of one size.
-
-    Args:
-        function: from a cell and configurations `[CONFIGURATIONS_PER_CALL, joint]` to one row each.
-        cell: its first argument.
-        q: `[n, joint]` configurations [rad].
-
-    Returns:
-        `[n, ...]` results.
-    """
-    # padded to whole calls, since each batch size would compile anew
-    padded = np.pad(q, ((0, -len(q) % CONFIGURATIONS_PER_CALL), (0, 0)), mode="edge").astype(
-        np.float32
-    )
-    pieces = np.split(padded, len(padded) // CONFIGURATIONS_PER_CALL)
-    results = [np.asarray(function(cell, jnp.asarray(piece))) for piece in pieces]
-    return np.concatenate(results)[: len(q)]
-
-
 def motion_of(cell: Workcell, task: Task, plan: PlanResult) -> Motion:
     """Frames of a plan.
 
@@ -100,8 +85,10 @@ def _phase_frames(cell: Workcell, scene: PhaseScene, phase: Trajectory, begin: f
     q = np.stack([np.interp(times, phase.times, column) for column in phase.positions.T], axis=1)
     # sources are labels: the nearest point's holds, nothing is interpolated
     nearest = np.abs(phase.times[:, None] - times).argmin(axis=0)
-    tools = as_rows(in_pieces(_tools, cell, q))
-    gaps = in_pieces(_clearances, in_scene(cell, scene), q)
+    q32 = q.astype(np.float32)
+    run = lambda rows, used: _tools(cell, q32[rows])  # noqa: E731
+    tools = as_rows(in_calls(run, len(q), (CONFIGURATIONS_PER_CALL,)))
+    gaps = path_clearance(in_scene(cell, scene), q32, FAR)
     qpos = np.stack([_frame(cell, scene, *row) for row in zip(q, tools, strict=True)])
     return begin + times, qpos, tools[:, :3], phase.sources[nearest], gaps
 

@@ -26,6 +26,7 @@ from hybrid_jax.view.task_panel import INVITATION, TaskPanel
 from hybrid_jax.web.page import WebPage
 from hybrid_jax.web.scene import WebScene
 from hybrid_jax.workcell.assets import demonstrations_folder
+from hybrid_jax.workcell.layout import home_qpos
 
 _NONE = "(none)"
 TASKS = "tasks"
@@ -78,7 +79,7 @@ class ViewPage(WebPage):
         if cell.source.task is None:
             self.status.content = "This cell has no task data: write CELL.toml beside its MJCF."
             self.task = self.playback = None
-            self.show(resting_qpos(cell, np.zeros((0, 7)), np.asarray(cell.home)))
+            self.show(home_qpos(cell.model))
             return
         self.playback = None
         self.task = TaskPanel(self.server, cell, fmap, self._new_task, self.guarded)

@@ -13,7 +13,7 @@ import viser
 from hybrid_jax.errors import TaskError
 from hybrid_jax.feasibility.building import FeasibilityMap
 from hybrid_jax.feasibility.lookup import query
-from hybrid_jax.runtime.artifacts import write_text
+from hybrid_jax.runtime.output_files import write_text
 from hybrid_jax.tasks.registry import make_task, task_values, with_key_poses
 from hybrid_jax.tasks.scene_sampling import require_task_data, sample_scene
 from hybrid_jax.tasks.task import Task, as_rows

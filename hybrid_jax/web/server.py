@@ -5,41 +5,14 @@ import asyncio
 import contextlib
 import http
 import io
-import ipaddress
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from urllib.parse import urlsplit
 
 import viser
 import websockets.asyncio.server
 
 from hybrid_jax.errors import InputError
-
-
-def _is_local(name: str | None) -> bool:
-    if name == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(name or "").is_loopback
-    except ValueError:
-        return False
-
-
-def is_own(origin: str | None, host: str | None, local: bool) -> bool:
-    """Does a request come from this server's own page, or from no page at all?
-
-    Args:
-        origin: header of that name; browsers send it with every web socket.
-        host: header of that name.
-        local: does the server listen at this machine's own address only? Then a foreign name in
-            `host` means that a page had its name resolved to this machine (DNS rebinding).
-    """
-    try:
-        if local and not _is_local(urlsplit(f"//{host}").hostname):
-            return False
-        return origin is None or (host is not None and urlsplit(origin).netloc == host)
-    except ValueError:  # "[" begins an address that never ends
-        return False
+from hybrid_jax.web.origins import is_local, is_own
 
 
 @contextlib.contextmanager
@@ -92,7 +65,7 @@ def open_server(host: str, port: int, label: str) -> viser.ViserServer:
             "own addresses, or 0.0.0.0 for all of them"
         ) from None
     # the constructor returns when the server listens; its banner would mix with a command's answer
-    with _guarded(_is_local(host)), contextlib.redirect_stdout(io.StringIO()):
+    with _guarded(is_local(host)), contextlib.redirect_stdout(io.StringIO()):
         return viser.ViserServer(host=host, port=port, label=label, verbose=False)
 
 
