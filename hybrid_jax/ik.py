@@ -5,16 +5,21 @@ from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jaxtyping import Float, PRNGKeyArray
 
 from hybrid_jax.kernels.argument_checks import checks, configuration
 from hybrid_jax.kernels.argument_checks import pose as pose_input
+from hybrid_jax.kernels.batching import in_calls
 from hybrid_jax.kernels.collision.clearance import clearance
 from hybrid_jax.kernels.damped_least_squares import descend
-from hybrid_jax.kernels.kinematics import jacobian
+from hybrid_jax.kernels.kinematics import chain_manipulability, jacobian
 from hybrid_jax.runtime.kept_programs import kept
 from hybrid_jax.types import KinematicChain, Record, Workcell, pytree
+
+LANES = 16, 128, 512
+"""Sizes of calls that solve for many poses: the smallest that suffices is used."""
 
 
 @dataclass(frozen=True)
@@ -89,10 +94,17 @@ def _meets(error: Float[Array, "*b 6"], config: IkConfig) -> tuple[Array, Array,
     return solved, position, rotation
 
 
-def _distinct(q: Float[Array, "seed n"], found: Array, apart: float) -> Array:
-    """True `[seed]` for solutions that no earlier solution resembles."""
-    similar = jnp.max(jnp.abs(q[:, None] - q[None]), axis=-1) <= apart
-    return found & ~jnp.any(jnp.tril(similar, -1) & found[None], axis=1)
+def distinct_solutions(q, found, apart: float):
+    """True `[..., seed]` for solutions that no earlier solution of their pose resembles.
+
+    Args:
+        q: `[..., seed, joint]` configurations [rad or m], of JAX or NumPy.
+        found: `[..., seed]` which of them are solutions.
+        apart: those are the same of which no joint differs by more [rad or m].
+    """
+    similar = abs(q[..., :, None, :] - q[..., None, :, :]).max(axis=-1) <= apart
+    earlier = np.tril(np.ones(similar.shape[-2:], bool), -1)
+    return found & ~(similar & earlier & found[..., None, :]).any(axis=-1)
 
 
 def _push_away(cell: Workcell, pose: Array, q: Array, config: IkConfig) -> tuple[Array, Array]:
@@ -173,7 +185,7 @@ def solve_ik(
         rotation_error=rotation[best],
         branches=q,
         branch_found=solved,
-        branch_distinct=_distinct(q, solved, config.distinct),
+        branch_distinct=distinct_solutions(q, solved, config.distinct),
     )
 
 
@@ -202,3 +214,85 @@ def track_poses(
         return q, (q, _meets(error, config)[0])
 
     return jax.lax.scan(step, start, poses)[1]
+
+
+def solve_from_seeds(
+    chain: KinematicChain,
+    poses: np.ndarray,
+    seeds: np.ndarray,
+    reference: np.ndarray,
+    config: IkConfig,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Descend to many poses, each from a seed of its own; on the host.
+
+    Calls of all numbers of poses, seeds and iterations share few programs.
+
+    Args:
+        chain: the arm; collisions do not count.
+        poses: `[n, 8]` target poses of the tool in the world, unit dual quaternions.
+        seeds: `[n, joint]` configurations to start from [rad or m].
+        reference: `[joint]` hinges take the whole turns that bring them nearest to it [rad or m].
+        config: iterations, steps and tolerances.
+
+    Returns:
+        Configurations `[n, joint]` [rad or m], whether each meets the tolerances `[n]`, and its
+        manipulability `[n]`.
+    """
+
+    def run(rows, _):
+        settings = config.iterations, config.max_step, config.damping
+        return _from_seeds(chain, poses[rows], seeds[rows], reference, *settings)
+
+    q, error, manipulabilities = in_calls(run, len(poses), LANES)
+    return q, _within(error, config), manipulabilities
+
+
+@kept(static=("max_step", "damping"))
+def _from_seeds(chain: KinematicChain, poses, seeds, reference, iterations, max_step, damping):
+    one = lambda pose, seed: descend(chain, pose, seed, iterations, max_step, damping)  # noqa: E731
+    q, error = jax.vmap(one)(poses, seeds)
+    q = jax.vmap(_unwind, (None, 0, None))(chain, q, reference)
+    return q, error, jax.vmap(chain_manipulability, (None, 0))(chain, q)
+
+
+def track_paths(
+    chain: KinematicChain, poses: np.ndarray, starts: np.ndarray, config: IkConfig
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """`track_poses` of many paths with equally many points; on the host.
+
+    Args:
+        chain: the arm; collisions do not count.
+        poses: `[n, point, 8]` target poses of the tool in the world, unit dual quaternions.
+        starts: `[n, joint]` configurations before the first points [rad or m].
+        config: iterations, steps and tolerances.
+
+    Returns:
+        Configurations `[n, point, joint]` [rad or m], whether each meets the tolerances
+        `[n, point]`, and its manipulability `[n, point]`.
+    """
+
+    def run(rows, _):
+        settings = config.iterations, config.max_step, config.damping
+        return _track(chain, poses[rows], starts[rows], *settings)
+
+    q, error, manipulabilities = in_calls(run, len(poses), LANES)
+    return q, _within(error, config), manipulabilities
+
+
+@kept(static=("max_step", "damping"))
+def _track(chain: KinematicChain, poses, starts, iterations, max_step, damping):
+    def follow(path, start):
+        def step(q, pose):
+            q, error = descend(chain, pose, q, iterations, max_step, damping)
+            return q, (q, error)
+
+        q, error = jax.lax.scan(step, start, path)[1]
+        return q, error, jax.vmap(chain_manipulability, (None, 0))(chain, q)
+
+    return jax.vmap(follow)(poses, starts)
+
+
+def _within(error: np.ndarray, config: IkConfig) -> np.ndarray:
+    """Whether errors `[..., 6]` [m, rad] meet the tolerances, on the host."""
+    position, rotation = (np.linalg.norm(part, axis=-1) for part in np.split(error, 2, axis=-1))
+    return (position <= config.position_tolerance) & (rotation <= config.rotation_tolerance)

@@ -6,8 +6,7 @@ dual quaternion `[8]` (see `kernels.dualquat`). Records hold one configuration; 
 """
 
 import enum
-from pathlib import Path
-from typing import TypeVar, dataclass_transform, no_type_check
+from typing import Any, TypeVar, dataclass_transform, no_type_check
 
 import mujoco
 import numpy as np
@@ -66,8 +65,8 @@ class Shapes(Record):
     """Collision primitives in one frame: boxes swept by a ball.
 
     A capsule is a box without width (half extents `0, 0, l`) and a radius, a sphere one without
-    any extent, a plain box has radius 0. One kind of primitive serves every pair. Arrays may have
-    a batch axis in front of the shapes given here.
+    any extent, a plain box has radius 0. A polytope is a convex hull swept by a ball; its half
+    extents are those of a box around the hull. Arrays may have a batch axis in front.
     """
 
     pose: Array
@@ -76,6 +75,8 @@ class Shapes(Record):
     """`[n, 3]` half extents of the box [m]."""
     radius: Array
     """`[n]` radius of the ball [m]."""
+    hull: Array
+    """`[n]` number in `ConvexHulls`: the cube, or of a polytope its own hull."""
     active: Array
     """`[n]` 1, or 0 for a slot that is empty: it is at distance `FAR`."""
     counts: tuple[int, ...] = struct.field(pytree_node=False)
@@ -94,8 +95,21 @@ class Shapes(Record):
         return int(np.count_nonzero(np.asarray(self.active)))
 
 
-PRIMITIVE_AXIS = {"pose": -2, "half_extents": -2, "radius": -1, "active": -1}
+PRIMITIVE_AXIS = {"pose": -2, "half_extents": -2, "radius": -1, "hull": -1, "active": -1}
 """Axis of the primitives in each array of `Shapes`."""
+
+
+@pytree
+class ConvexHulls(Record):
+    """Convex hulls as the kernels read them: the cube from -1 to 1, then those of meshes."""
+
+    candidates: Array
+    """`[slice, 3, SLICE]` vertices, cell by cell of `kernels.collision.support_map`: those that can
+    be the farthest along a direction of the cell, in the hull's frame [m]."""
+    first: Array
+    """`[hull * cell + 1]` the first slice of each cell, and their number."""
+    faces: Array
+    """`[hull, face, 4]` outward unit normals, and distances of the planes from the origin [m]."""
 
 
 @pytree
@@ -148,6 +162,8 @@ class Workcell(Record):
 
     chain: KinematicChain
     """Joints, limits and tool frame."""
+    hulls: ConvexHulls
+    """Of the polytopes among its primitives; empty where there are none."""
     robot: RobotShapes
     """Primitives of links and fingers."""
     fixtures: Shapes
@@ -162,8 +178,8 @@ class Workcell(Record):
     """Objects, payload and opening of the fingers."""
     home: Array
     """`[joint]` configuration to start from [rad or m]."""
-    source: "WorkcellSource" = struct.field(pytree_node=False)
-    """The host side of the cell: model, names, task data. None inside of kept programs."""
+    source: Any = struct.field(pytree_node=False)
+    """`workcell.source.WorkcellSource`: model, names, task data. None inside of kept programs."""
 
     def for_programs(self) -> "Workcell":
         """The cell without its host side: cells of one class have equal programs (`kept`)."""
@@ -193,45 +209,6 @@ class Workcell(Record):
     def velocity_limits(self) -> Array:
         """`[joint]` [rad/s or m/s]."""
         return self.chain.velocity_limits
-
-
-class WorkcellSource:
-    """Host-side half of a cell; two loads of one file are equal and so share compiled code."""
-
-    def __init__(
-        self, *, name, digest, model, layout, task, owners, fixture_bodies, path=None, tool=""
-    ):
-        self.name: str = name
-        self.path: Path | None = path
-        """File that the model was read from; None where it came from elsewhere."""
-        self.tool: str = tool
-        """Site or link that whoever loaded the cell named as the tool; mostly empty."""
-        self.digest: str = digest
-        """Hash of everything the model was compiled from: it identifies the cell in files."""
-        self.model: mujoco.MjModel = model
-        self.layout = layout
-        """`workcell.layout.Layout`: where joints, geoms and objects stand in the model."""
-        self.task = task
-        """`workcell.description.TaskData` or None: what is done in the cell."""
-        self.owners: tuple[int, ...] = owners
-        """Object of each primitive of `Workcell.objects`; -1 of empty slots."""
-        self.fixture_bodies: tuple[str, ...] = fixture_bodies
-        """Body of each primitive of `Workcell.fixtures`; empty strings for empty slots."""
-
-    @property
-    def joint_names(self) -> tuple[str, ...]:
-        """Joints in the order of `q`."""
-        return self.layout.joint_names
-
-    # a static field of a pytree: equality and hash decide whether JAX traces anew
-    def __eq__(self, other):
-        return isinstance(other, WorkcellSource) and self.digest == other.digest
-
-    def __hash__(self):
-        return hash(self.digest)
-
-    def __repr__(self):
-        return f"WorkcellSource({self.name!r}, {self.digest[:12]})"
 
 
 class Status(enum.IntEnum):

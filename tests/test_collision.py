@@ -8,13 +8,14 @@ import numpy as np
 import oracles
 import pytest
 
+from hybrid_jax.envs.reach import points_between
 from hybrid_jax.kernels.collision import clearance as clearance_module
 from hybrid_jax.kernels.collision.clearance import (
     clearance,
     clearance_up_to,
     clearances,
-    points_between,
 )
+from hybrid_jax.kernels.collision.motion_validation import clearances_in_scenes
 from hybrid_jax.workcell.allowed_collisions import contact_filter
 from hybrid_jax.workcell.scene import attach, detach, with_opening, with_support
 
@@ -177,6 +178,27 @@ def test_scenes_and_configurations_batch_in_any_nest(cell, configurations):
     np.testing.assert_allclose(got, wanted, atol=1e-6)
     across = jax.jit(jax.vmap(jax.vmap(one, (0, None)), (None, 0)))(scenes, q)
     np.testing.assert_allclose(across.T, wanted, atol=1e-6)
+
+
+@pytest.mark.parametrize("count", [1, 70, 700])
+def test_configurations_in_scenes_of_their_own_are_each_measured(cell, configurations, count):
+    """In groups that are full, short, and more than one call takes; some of either kind occur."""
+    held = [
+        attach(cell, name, jnp.array([0, 0, 0.006, 0, 1, 0, 0.0]))
+        for name in ("block_1", "bolt_1", "hammer")
+    ]
+    scenes = jax.tree.map(lambda *a: jnp.stack(a), *(c.scene for c in held))
+    which = np.random.default_rng(count).integers(0, 3, count)
+    q = configurations[np.arange(count) % len(configurations)]
+    one = lambda scene, q: clearance(cell.replace(scene=scene), q)  # noqa: E731
+    whole = np.asarray(jax.jit(jax.vmap(jax.vmap(one, (0, None)), (None, 0)))(scenes, q))
+    wanted = np.minimum(whole[np.arange(count), which], 0.02)
+    np.testing.assert_allclose(
+        clearances_in_scenes(cell, scenes, which, q, 0.02), wanted, atol=1e-6
+    )
+    own = jax.tree.map(lambda a: a[which], scenes)
+    near = lambda scene, q: clearance_up_to(cell.replace(scene=scene), q, 0.02)  # noqa: E731
+    np.testing.assert_allclose(jax.jit(jax.vmap(near))(own, q), wanted, atol=1e-6)
 
 
 def test_detach_undoes_attach(cell):

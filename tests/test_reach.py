@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from hybrid_jax.agents import joint, networks, ppo, training
+from hybrid_jax.agents.joint_bridger import make_bridger
 from hybrid_jax.contracts import Segments, take
 from hybrid_jax.envs.paper_reach import PaperReachConfig, PaperReachEnv
 from hybrid_jax.envs.reach import ReachConfig, ReachEnv
@@ -104,7 +105,7 @@ def agent(cell, segments, env):
 
 def test_the_bridger_returns_proven_paths_or_nothing(cell, segments, agent):
     net, policy = agent
-    bridge, found = joint.make_bridger(cell, policy, CONFIG), 0
+    bridge, found = make_bridger(cell, policy, CONFIG), 0
     for i in range(6):
         scene = jax.tree.map(lambda a, i=i: a[i], segments.scene)
         path = bridge(take(segments, slice(i, i + 1)), jax.random.key(i))[0]
@@ -153,7 +154,7 @@ def test_infeasible_ends_are_refused_by_name(cell, segments, agent):
     np.testing.assert_array_equal(
         with_room(cell, hit, 0.0).start, np.delete(segments.start, 1, axis=0)
     )
-    bridge = joint.make_bridger(cell, agent[1], CONFIG)
+    bridge = make_bridger(cell, agent[1], CONFIG)
     with pytest.raises(SegmentError, match="its goal"):
         bridge(single_segment(cell.scene, segments.start[0], low), jax.random.key(0))
 

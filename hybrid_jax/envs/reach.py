@@ -24,11 +24,19 @@ from jaxtyping import Float, PRNGKeyArray
 from hybrid_jax.contracts import Segments
 from hybrid_jax.envs.base import StepResult
 from hybrid_jax.kernels import dualquat as dq
-from hybrid_jax.kernels.collision.clearance import clearance_up_to, points_between
+from hybrid_jax.kernels.collision.clearance import clearance_up_to
 from hybrid_jax.kernels.kinematics import tool_pose
 from hybrid_jax.mjx.collision import backend
 from hybrid_jax.mjx.servos import Body, Servos
 from hybrid_jax.types import Record, Workcell, pytree
+
+
+def points_between(
+    start: Float[Array, " n"], end: Float[Array, " n"], samples: int
+) -> Float[Array, "sample n"]:
+    """Evenly spaced points `[sample, joint]` of a straight edge, without `start`, with `end`."""
+    phase = jnp.arange(1, samples + 1)[:, None] / samples
+    return start + phase * (end - start)
 
 
 @dataclass(frozen=True)

@@ -165,6 +165,18 @@ def jacobian(cell: Workcell, q: Float[Array, " n"]) -> Float[Array, "6 n"]:
     return frame_jacobian(cell.chain, frames, tool_frame(cell.chain, frames)[:3])
 
 
+def chain_manipulability(chain: KinematicChain, q: Float[Array, " n"]) -> Float[Array, ""]:
+    """`manipulability` `[]` of an arm `chain` at a configuration `[joint]` [rad or m]."""
+    frames = joint_frames(chain, q)
+    matrix = gram(frame_jacobian(chain, frames, tool_frame(chain, frames)[:3]))
+    for i in range(6):
+        matrix[i][i] = matrix[i][i] + _TINY  # pivots stay positive where the arm is singular
+    determinant = functools.reduce(jnp.multiply, factor(matrix)[1])
+    # a pivot that rounds to exactly zero is divided by: the arm is singular there
+    regular = (determinant > 0) & (determinant < jnp.inf)
+    return jnp.where(regular, jnp.sqrt(jnp.where(regular, determinant, 1.0)), 0.0)
+
+
 @checks(q=configuration)
 @kept
 def manipulability(cell: Workcell, q: Float[Array, " n"]) -> Float[Array, ""]:
@@ -180,10 +192,4 @@ def manipulability(cell: Workcell, q: Float[Array, " n"]) -> Float[Array, ""]:
     Raises:
         InputError: `q` is no configuration of the arm.
     """
-    matrix = gram(jacobian(cell, q))
-    for i in range(6):
-        matrix[i][i] = matrix[i][i] + _TINY  # pivots stay positive where the arm is singular
-    determinant = functools.reduce(jnp.multiply, factor(matrix)[1])
-    # a pivot that rounds to exactly zero is divided by: the arm is singular there
-    regular = (determinant > 0) & (determinant < jnp.inf)
-    return jnp.where(regular, jnp.sqrt(jnp.where(regular, determinant, 1.0)), 0.0)
+    return chain_manipulability(cell.chain, q)

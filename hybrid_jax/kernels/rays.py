@@ -10,7 +10,12 @@ from jaxtyping import Float
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.argument_checks import checks
 from hybrid_jax.kernels.argument_checks import pose as pose_input
-from hybrid_jax.kernels.collision.primitive_kinds import KINDS, PrimitiveKind, spans
+from hybrid_jax.kernels.collision.primitive_kinds import (
+    KINDS,
+    POLYTOPE,
+    PrimitiveKind,
+    spans,
+)
 from hybrid_jax.kernels.collision.rounded_boxes import world_shapes
 from hybrid_jax.runtime.kept_programs import kept
 from hybrid_jax.types import Workcell
@@ -57,7 +62,10 @@ def cast(
 
         if span.start == span.stop:
             return best
-        operands = kind.ray_operands(world.pose[span], world.half_extents[span], world.radius[span])
+        faces = cell.hulls.faces[world.hull[span]] if kind.name == POLYTOPE else None
+        operands = kind.ray_operands(
+            world.pose[span], world.half_extents[span], world.radius[span], faces
+        )
         return jax.lax.scan(step, best, (operands, world.active[span]))[0]
 
     best = jnp.full(directions.shape[0], jnp.inf, directions.dtype)

@@ -17,9 +17,10 @@ from hybrid_jax.errors import UnknownNameError
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.collision import clearance as fused
 from hybrid_jax.runtime.quiet import import_mjx
-from hybrid_jax.types import Workcell, WorkcellSource
+from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.allowed_collisions import forbidden_contacts
 from hybrid_jax.workcell.layout import home_qpos, moved_geoms
+from hybrid_jax.workcell.source import WorkcellSource
 
 ALOFT = 1000.0
 """How far a held object is raised: where nothing is, also after falling for ten seconds [m]."""

@@ -9,10 +9,11 @@ import mujoco
 import numpy as np
 
 from hybrid_jax.errors import WorkcellError
-from hybrid_jax.types import RobotShapes, Scene, Workcell, WorkcellSource
+from hybrid_jax.types import RobotShapes, Scene, Workcell
 from hybrid_jax.workcell import geometry
 from hybrid_jax.workcell.allowed_collisions import contact_pairs, forbidden_contacts
 from hybrid_jax.workcell.chain import joint_frames, kinematic_chain, reference_data
+from hybrid_jax.workcell.convex_hulls import MESH_TOLERANCE, hull_tables
 from hybrid_jax.workcell.description import TaskData
 from hybrid_jax.workcell.layout import (
     Layout,
@@ -24,9 +25,7 @@ from hybrid_jax.workcell.layout import (
 )
 from hybrid_jax.workcell.poses import matrix_pose, pose_of
 from hybrid_jax.workcell.shape_padding import fill_up
-
-MESH_TOLERANCE = 5e-3
-"""How far the boxes of a convex mesh may stand out of it, unless the caller allows more [m]."""
+from hybrid_jax.workcell.source import WorkcellSource
 
 
 def _stroke(model, data, layout, geom: int, frame) -> np.ndarray:
@@ -45,17 +44,22 @@ def _object_of(model, layout, geom: int) -> int:
     return layout.object_bodies.index(path[0]) if path and path[0] in layout.object_bodies else -1
 
 
-def _robot(model, data, layout, geoms, frames, links, tolerance):
-    """Primitives that the arm moves, by link within each kind, and their record."""
-    primitives = [
-        p
-        for g in sorted(geoms, key=lambda g: links[g])
-        for p in geometry.primitives(model, data, g, frames[links[g]], tolerance)
-    ]
-    primitives = geometry.in_order(primitives)
+def _robot(model, data, geoms, frames, links, tolerance):
+    """Primitives that the arm moves, by link within each kind."""
+    return geometry.in_order(
+        [
+            p
+            for g in sorted(geoms, key=lambda g: links[g])
+            for p in geometry.primitives(model, data, g, frames[links[g]], tolerance)
+        ]
+    )
+
+
+def _robot_record(model, data, layout, primitives, frames, links, hulls) -> RobotShapes:
+    """Record of the primitives that the arm moves."""
     strokes = [_stroke(model, data, layout, p.geom, frames[links[p.geom]]) for p in primitives]
-    return primitives, RobotShapes(
-        shapes=geometry.to_shapes(primitives),
+    return RobotShapes(
+        shapes=geometry.to_shapes(primitives, hulls=hulls),
         stroke=np.array(strokes, np.float32).reshape(-1, 3),
         link=np.array([links[p.geom] for p in primitives], np.int32),
     )
@@ -77,14 +81,14 @@ def _fixtures(model, data, geoms, tolerance):
     )
 
 
-def _scene(task: TaskData | None, objects, slots: tuple[int, ...], fixture_count: int) -> Scene:
+def _scene(task: TaskData | None, objects, slots: tuple[int, ...], fixtures: int, hulls) -> Scene:
     """The scene in which nothing is held, its objects still in their bodies' frames."""
     gripper = task.gripper if task else None
     return Scene(
-        objects=geometry.to_shapes(objects),
+        objects=geometry.to_shapes(objects, hulls=hulls),
         payload=geometry.to_shapes([], slots),
         opening=np.float32(gripper.open if gripper else 0.0),
-        support_on=np.ones(fixture_count, np.float32),
+        support_on=np.ones(fixtures, np.float32),
     )
 
 
@@ -148,7 +152,7 @@ def compile_workcell(
         model: of the whole cell.
         name: of the cell.
         task: its data, if it has any.
-        mesh_tolerance: how far the boxes of a mesh may stand out of its convex hull [m].
+        mesh_tolerance: how far the polytope of a mesh may stand out of its convex hull [m].
         path: of the file that the model was read from.
         tool: site that is the tool; as the task data say, or a usual name, if empty.
 
@@ -166,18 +170,20 @@ def compile_workcell(
     frames = joint_frames(model, data, layout)
     links = geom_links(model, layout)
     arm_geoms, object_geoms, fixed_geoms = _sorted_geoms(model, layout, links)
-    robot, robot_record = _robot(model, data, layout, arm_geoms, frames, links, mesh_tolerance)
+    robot = _robot(model, data, arm_geoms, frames, links, mesh_tolerance)
     fixtures = _fixtures(model, data, fixed_geoms, mesh_tolerance)
     objects = _objects(model, data, layout, object_geoms, mesh_tolerance)
+    hulls = geometry.hulls_of([*robot, *fixtures, *objects])
     owners = [_object_of(model, layout, p.geom) for p in objects]
     slots = _payload_slots(task, owners, objects)
     forbidden, last_link = forbidden_contacts(model, layout), len(layout.joints) - 1
     pairs = contact_pairs(robot, slots, fixtures, objects, links, last_link, forbidden)
-    scene = _scene(task, objects, slots, len(fixtures))
+    scene = _scene(task, objects, slots, len(fixtures), hulls)
     arrays = {
         "chain": kinematic_chain(model, data, layout),
-        "robot": robot_record,
-        "fixtures": geometry.to_shapes(fixtures),
+        "hulls": hull_tables(hulls),
+        "robot": _robot_record(model, data, layout, robot, frames, links, hulls),
+        "fixtures": geometry.to_shapes(fixtures, hulls=hulls),
         "objects": scene.objects,
         "pairs": pairs,
         "home": home_qpos(model)[list(layout.qpos)].astype(np.float32),

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Collision geoms of an `MjModel` as the kernels' primitives. Host side, float64."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -12,6 +13,7 @@ from hybrid_jax.kernels.collision.primitive_kinds import KINDS as KINDS_OF_PRIMI
 from hybrid_jax.kernels.collision.primitive_kinds import kind_of, rows_as_boxes, spans
 from hybrid_jax.types import Shapes
 from hybrid_jax.workcell import approximation
+from hybrid_jax.workcell.convex_hulls import polytope
 from hybrid_jax.workcell.poses import as_row, matrix_pose, pose_of
 
 _G = mujoco.mjtGeom
@@ -45,12 +47,14 @@ class Primitive:
     half_extents: tuple[float, float, float]
     """Half extents of the box [m]."""
     radius: float
-    """Radius of the ball that sweeps the box [m]."""
+    """Radius of the ball that sweeps it [m]."""
+    vertices: np.ndarray | None = None
+    """`[n, 3]` of a polytope in its frame [m], the frame of a box around it; else None."""
 
     @property
     def kind(self) -> int:
         """Number of its kind in `kernels.collision.primitive_kinds`."""
-        return kind_of(self.half_extents)
+        return kind_of(self.half_extents, self.vertices is not None)
 
 
 def body_label(model: mujoco.MjModel, body: int) -> str:
@@ -115,7 +119,7 @@ def pierces(model: mujoco.MjModel, data: mujoco.MjData, capsule: int, box: int) 
 
 
 def _local(model, geom: int, tolerance: float) -> list[tuple]:
-    """Primitives of a geom in its own frame: (pose, half extents `[3]` [m], radius [m])."""
+    """Primitives of a geom in its own frame: pose, half extents `[3]` [m], radius [m], vertices."""
     kind, size = int(model.geom_type[geom]), model.geom_size[geom]
     identity = pose_of([0, 0, 0], [1, 0, 0, 0])
     if kind == SPHERE:
@@ -130,9 +134,8 @@ def _local(model, geom: int, tolerance: float) -> list[tuple]:
         return approximation.cylinder(size[0], size[1])
     if kind == ELLIPSOID:
         return approximation.ellipsoid(size)
-    return approximation.convex_mesh(
-        _mesh_vertices(model, geom), tolerance, geom_label(model, geom)
-    )
+    hull = polytope(_mesh_vertices(model, geom), tolerance, geom_label(model, geom))
+    return [(hull.pose, hull.half_extents, hull.radius, hull.vertices)]
 
 
 def _mesh_vertices(model, geom: int) -> np.ndarray:
@@ -149,12 +152,12 @@ def primitives(model, data, geom: int, frame: RigidTransform, tolerance: float) 
         model, data: the cell in C MuJoCo, its kinematics up to date.
         geom: number of the geom.
         frame: pose in the world of the frame that carries the geom.
-        tolerance: how far the primitives of a mesh may stand out of its convex hull [m].
+        tolerance: how far the polytope of a mesh may stand out of its convex hull [m].
     """
     geom_pose = frame.inv() * matrix_pose(data.geom_xpos[geom], data.geom_xmat[geom])
     return [
-        Primitive(geom, geom_pose * pose, tuple(float(h) for h in half), float(radius))
-        for pose, half, radius in _local(model, geom, tolerance)
+        Primitive(geom, geom_pose * pose, tuple(float(h) for h in half), float(radius), *vertices)
+        for pose, half, radius, *vertices in _local(model, geom, tolerance)
     ]
 
 
@@ -168,23 +171,35 @@ def counts_of(items: list[Primitive]) -> tuple[int, ...]:
     return tuple(sum(p.kind == kind for p in items) for kind in range(len(KINDS_OF_PRIMITIVES)))
 
 
-def to_shapes(items: list[Primitive], slots: tuple[int, ...] = ()) -> Shapes:
+def hulls_of(items: list[Primitive]) -> list[np.ndarray]:
+    """Vertices `[n, 3]` of the polytopes among some primitives, each hull once [m]."""
+    return list({id(p.vertices): p.vertices for p in items if p.vertices is not None}.values())
+
+
+def to_shapes(
+    items: list[Primitive], slots: tuple[int, ...] = (), hulls: Sequence[np.ndarray] = ()
+) -> Shapes:
     """Primitives as arrays `[n, ...]`, kind by kind, padded with empty slots.
 
     Args:
         items: the primitives, in any order.
         slots: least number of primitives of each kind; none if empty.
+        hulls: `hulls_of` all primitives of the cell.
     """
     counts = counts_of(items)
     slots = tuple(map(max, counts, slots or counts))
     pose, half = np.zeros((sum(slots), 7)), np.zeros((sum(slots), 3))
     radius, active = np.zeros(sum(slots)), np.zeros(sum(slots))
+    hull = np.zeros(sum(slots), np.int32)
+    # the first of the tables is the cube
+    number = {id(vertices): i for i, vertices in enumerate(hulls, start=1)}
     pose[:, 3] = 1.0  # empty slots are not rotated: the quaternion's w comes first
     half[rows_as_boxes(slots)] = 1e-3
     for kind, span in enumerate(spans(slots)):
         for i, p in enumerate((p for p in items if p.kind == kind), start=span.start):
             pose[i], half[i], radius[i], active[i] = as_row(p.pose), p.half_extents, p.radius, 1.0
-    arrays = [np.asarray(a, np.float32) for a in (pose, half, radius, active)]
+            hull[i] = number.get(id(p.vertices), 0)
+    pose, half, radius, active = (np.asarray(a, np.float32) for a in (pose, half, radius, active))
     # a row that is read as a box is no ball, be it an empty slot
     balls = not rows_as_boxes(slots) and not any(any(p.half_extents) for p in items)
-    return Shapes(*arrays, counts=slots, all_spheres=balls)
+    return Shapes(pose, half, radius, hull, active, counts=slots, all_spheres=balls)

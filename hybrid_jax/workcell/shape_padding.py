@@ -12,7 +12,8 @@ import copy
 import numpy as np
 
 from hybrid_jax.kernels.collision.primitive_kinds import rows_as_boxes, spans
-from hybrid_jax.types import PRIMITIVE_AXIS, ContactPairs, Shapes, Workcell, WorkcellSource
+from hybrid_jax.types import PRIMITIVE_AXIS, ContactPairs, Shapes, Workcell
+from hybrid_jax.workcell.source import WorkcellSource
 
 ROBOT_DIGITS, OBSTACLE_DIGITS = 4, 3
 """Significant binary digits of a list's size: the smallest such number that suffices. With 3
@@ -89,6 +90,9 @@ def class_of(cell: Workcell) -> str:
     }
     sizes = [f"{name} {'+'.join(map(str, shapes.counts))}" for name, shapes in lists.items()]
     balls = ", balls" if robot.all_spheres else ""
+    hulls, faces, _ = cell.hulls.faces.shape
+    if hulls:
+        sizes.append(f"hulls {hulls}, slices {len(cell.hulls.candidates)}, faces {faces}")
     return ", ".join(
         [f"{cell.home.shape[-1]} joints", *sizes, f"self {cell.pairs.cover.shape[-1]}{balls}"]
     )

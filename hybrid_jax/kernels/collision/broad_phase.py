@@ -14,8 +14,11 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from hybrid_jax.errors import InputError
+from hybrid_jax.kernels import vec3
 from hybrid_jax.kernels.collision.distance import FAR
-from hybrid_jax.kernels.collision.rounded_boxes import RoundedBoxes, Rows
+from hybrid_jax.kernels.collision.rounded_boxes import RoundedBoxes, Rows, world_boxes
+from hybrid_jax.types import Workcell
 
 _MANY = 16
 """Number of columns from which the rough bound pays: the fixtures have more, the robot less."""
@@ -60,6 +63,26 @@ def pair_bound(centre, extent, radius, other) -> Array:
     return outside + jnp.minimum(_worst(gaps), 0.0) - radius - other.radius
 
 
+def box_bound(own: RoundedBoxes, other: RoundedBoxes) -> Array:
+    """Lower bound of the signed distance [m]: separation along the faces' normals of the boxes.
+
+    Args:
+        own, other: blocks whose components broadcast; `half_extents` are those of a box around.
+    """
+    offset = vec3.sub(other.centre, own.centre)
+    axes, other_axes = (
+        [[block.rotation[i][k] for i in range(3)] for k in range(3)] for block in (own, other)
+    )
+    cosines = [[jnp.abs(vec3.dot(a, b)) for b in other_axes] for a in axes]
+    best = jnp.full_like(offset[0], -FAR)
+    for k in range(3):
+        reach = own.half_extents[k] + vec3.dot(cosines[k], other.half_extents)
+        best = jnp.maximum(best, jnp.abs(vec3.dot(axes[k], offset)) - reach)
+        reach = other.half_extents[k] + vec3.dot([c[k] for c in cosines], own.half_extents)
+        best = jnp.maximum(best, jnp.abs(vec3.dot(other_axes[k], offset)) - reach)
+    return best - own.radius - other.radius
+
+
 def _rough_bound(centre, extent, radius, obstacles) -> Array:
     """Bound along the worst axis alone: cheaper than `pair_bound`, without a root, and looser."""
     return _worst(_gaps(centre, extent, obstacles)) - radius - obstacles.radius
@@ -83,7 +106,7 @@ def column_of(record, index: Array):
             return [split(part) for part in a]
         return jax.lax.dynamic_index_in_dim(a, index, keepdims=False)
 
-    return type(record)(*(split(a) for a in record))
+    return jax.tree.map(split, record)
 
 
 def pair_flags(pairing: Pairing) -> Array:
@@ -135,3 +158,29 @@ def over_columns(count: int, step: Callable, state):
     unroll = min(4, -(-count // 2))
     passes = -(-count // max(unroll, 1))
     return jax.lax.fori_loop(0, passes * unroll, step, state, unroll=unroll or None)
+
+
+def groups_of(
+    cell: Workcell, own: RoundedBoxes, against: str
+) -> list[tuple[RoundedBoxes, Pairing]]:
+    """Obstacles and which of them count for which row: fixtures, objects, the robot itself.
+
+    Fixtures stand apart from objects because they are the same for a whole batch. `own` are the
+    robot's primitives `ContactPairs.cover`; `against` is `all`, `world` or `own`.
+    """
+    pairs, scene, fixtures = cell.pairs, cell.scene, cell.fixtures
+    if pairs.world.shape[0] != 1:
+        raise InputError("a batch of cells must share its contact pairs: vmap over scenes only")
+    payload, count = pairs.payload[0], fixtures.count
+    groups = []
+    if against != "own":
+        object_support = jnp.ones((scene.objects.count, 1))
+        fixed, movable = pairs.world[0, :, :count], pairs.world[0, :, count:]
+        groups = [
+            (world_boxes(cell, fixtures), Pairing(fixed, payload, scene.support_on.T)),
+            (world_boxes(cell, scene.objects), Pairing(movable, payload, object_support)),
+        ]
+    if against != "world":
+        own_support = jnp.ones((own.radius.shape[0], 1))
+        groups.append((own, Pairing(pairs.own[0], payload, own_support)))
+    return [(blocks, pairing) for blocks, pairing in groups if blocks.radius.shape[0]]

@@ -13,64 +13,43 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Float, Int
 
-from hybrid_jax.errors import InputError
-from hybrid_jax.kernels import vec3
 from hybrid_jax.kernels.argument_checks import checks, configuration
-from hybrid_jax.kernels.batching import batch_size, batched, by_backend, in_chunks, redo
-from hybrid_jax.kernels.collision import distance, narrow_phase
-from hybrid_jax.kernels.collision.broad_phase import Pairing, row_bounds
+from hybrid_jax.kernels.batching import (
+    batch_size,
+    batched,
+    by_backend,
+    first_items,
+    in_chunks,
+    redo,
+)
+from hybrid_jax.kernels.collision import all_pairs, narrow_phase
+from hybrid_jax.kernels.collision.broad_phase import groups_of, row_bounds
 from hybrid_jax.kernels.collision.distance import FAR
-from hybrid_jax.kernels.collision.narrow_phase import Nearest
-from hybrid_jax.kernels.collision.primitive_kinds import KINDS, PAIRS, spans
+from hybrid_jax.kernels.collision.nearest_pair import Nearest, no_pair
+from hybrid_jax.kernels.collision.pair_distance import pair_distance
 from hybrid_jax.kernels.collision.rounded_boxes import (
-    RoundedBoxes,
+    has_polytopes,
     local_shapes,
     robot_rows,
-    row_counts,
-    row_links,
     split_blocks,
-    world_boxes,
     world_count,
 )
-from hybrid_jax.kernels.kinematics import link_frames
 from hybrid_jax.runtime.kept_programs import kept
-from hybrid_jax.types import Shapes, Workcell
+from hybrid_jax.types import Scene, Workcell
 
 _MEASURED = (5, 6)
 """Rows with the least bounds, and pairs of these rows, that are measured at first. More of either
 makes fewer configurations uncertain, and costs more for all."""
 _MEASURED_NEAR = (5, 5)
 """Rows and pairs where only what is near counts: bounds make most configurations certain."""
+_MEASURED_HULLS = (16, 2)
+"""Rows and pairs of a cell with hulls: they are few, and a pair costs much more."""
 _TABLE = 64
-"""Configurations in a pass that measures every pair: of small batches, and the uncertain ones."""
+"""Configurations in a pass that leaves none uncertain: it measures every pair, or refines."""
 _REDO = 8
 """Uncertain configurations in a pass where only what is near counts: they are few."""
 _ACCELERATOR_TABLE = 4096
 """Both passes on an accelerator: an H100 spends nine tenths of its time on passes of 64."""
-
-
-def _groups(cell: Workcell, own: RoundedBoxes, against: str) -> list:
-    """Obstacles and which of them count for which row: fixtures, objects, the robot itself.
-
-    Fixtures stand apart from objects because they are the same for a whole batch. `own` are the
-    robot's primitives `ContactPairs.cover`; `against` is `all`, `world` or `own`.
-    """
-    pairs, scene, fixtures = cell.pairs, cell.scene, cell.fixtures
-    if pairs.world.shape[0] != 1:
-        raise InputError("a batch of cells must share its contact pairs: vmap over scenes only")
-    payload, count = pairs.payload[0], fixtures.count
-    groups = []
-    if against != "own":
-        object_support = jnp.ones((scene.objects.count, 1))
-        fixed, movable = pairs.world[0, :, :count], pairs.world[0, :, count:]
-        groups = [
-            (world_boxes(fixtures), Pairing(fixed, payload, scene.support_on.T)),
-            (world_boxes(scene.objects), Pairing(movable, payload, object_support)),
-        ]
-    if against != "world":
-        own_support = jnp.ones((own.radius.shape[0], 1))
-        groups.append((own, Pairing(pairs.own[0], payload, own_support)))
-    return [(blocks, pairing) for blocks, pairing in groups if blocks.radius.shape[0]]
 
 
 def _kernel(cell: Workcell, q: Array, *, against: str, measured: tuple[int, int] | None) -> Nearest:
@@ -78,32 +57,35 @@ def _kernel(cell: Workcell, q: Array, *, against: str, measured: tuple[int, int]
 
     Leaves of `cell` and `q` are `[1 or b, ...]`; `measured` is as `_MEASURED`, None for every pair.
     """
+    if has_polytopes(cell) and not measured:
+        # a table of all pairs costs too much: hulls are measured in steps
+        return _refined(cell, q, jnp.full(1, FAR), jnp.ones(1, bool), against=against)
     rows, blocks = robot_rows(cell, q)
-    cover_blocks, boxes_by_kind = split_blocks(cell, blocks)
-    batch = q.shape[0]
-    zero = jnp.zeros(batch, jnp.int32)
-    nearest = Nearest(jnp.full(batch, FAR), zero, zero, jnp.full(batch, FAR))
-    groups = _groups(cell, cover_blocks, against)
+    cover_blocks, runs = split_blocks(cell, blocks)
+    nearest = no_pair(q.shape[0])
+    groups = groups_of(cell, cover_blocks, against)
     if not groups:
         return nearest
-    if local_shapes(cell).all_spheres:
-        return narrow_phase.around(rows, cover_blocks, groups)
+    if _all_balls(cell):
+        return all_pairs.around(rows, cover_blocks, groups)
     if measured:
         bounds = jnp.full(rows.centre.shape[1:], FAR)
         for obstacles, pairing in groups:
             bounds = row_bounds(rows, obstacles, pairing, bounds)
-    for kind, row_boxes, span in zip(KINDS, boxes_by_kind, spans(row_counts(cell)), strict=True):
-        if span.start == span.stop:
-            continue
-        measure = PAIRS[kind.name, "rounded box"]
+    for span, row_boxes, measure in runs:
         if measured:
             candidate = _if_needed(
                 measure, rows, row_boxes, groups, span, bounds, nearest, measured
             )
         else:
-            candidate = narrow_phase.tabulate(measure, rows, row_boxes, groups, span)
+            candidate = all_pairs.tabulate(measure, rows, row_boxes, groups, span)
         nearest = nearest.merge(candidate)
     return nearest
+
+
+def _all_balls(cell: Workcell) -> bool:
+    """Is the robot made of balls, and nothing around it a hull?"""
+    return local_shapes(cell).all_spheres and not has_polytopes(cell)
 
 
 def _if_needed(
@@ -126,22 +108,85 @@ def _closest(cell: Workcell, q: Array, *, against: str) -> Nearest:
     table_size = by_backend(_TABLE, _ACCELERATOR_TABLE)
     if q.shape[0] <= table_size:
         return measure_all(cell, q)
-    nearest = in_chunks(functools.partial(_kernel, against=against, measured=_MEASURED), cell, q)
+    promising = _MEASURED_HULLS if has_polytopes(cell) else _MEASURED
+    nearest = in_chunks(functools.partial(_kernel, against=against, measured=promising), cell, q)
     return redo(measure_all, (cell, q), nearest, ~nearest.certain, table_size)
 
 
 def _near(cell: Workcell, q: Array, enough: Array) -> Array:
     """Clearances `[b]` [m] of a batch, `enough` where they are larger; leaves `[1 or b, ...]`."""
     q = jnp.broadcast_to(q, (batch_size((cell, q, enough)), q.shape[1]))
+    is_shared = cell.scene.objects.pose.shape[0] == 1
+    if q.shape[0] <= by_backend(_TABLE, _ACCELERATOR_TABLE) or by_backend(not is_shared, False):
+        return in_chunks(_near_refined, cell, q, enough, jnp.ones(1, bool), cpu_chunk=_TABLE)
+    promising = _MEASURED_HULLS if has_polytopes(cell) else _MEASURED_NEAR
+    measure_promising = functools.partial(_kernel, against="all", measured=promising)
     measure_all = functools.partial(_kernel, against="all", measured=None)
-    if q.shape[0] <= by_backend(_TABLE, _ACCELERATOR_TABLE):
-        return jnp.minimum(measure_all(cell, q).distance, enough)
-    measure_promising = functools.partial(_kernel, against="all", measured=_MEASURED_NEAR)
     nearest = in_chunks(measure_promising, cell, q)
     # an unmeasured pair matters only where it may be nearer than what was measured and `enough`
     pending = nearest.rest < jnp.minimum(nearest.distance, enough)
-    redo_size = by_backend(_REDO, _ACCELERATOR_TABLE)
+    redo_size = by_backend(_TABLE if has_polytopes(cell) else _REDO, _ACCELERATOR_TABLE)
     return jnp.minimum(redo(measure_all, (cell, q), nearest, pending, redo_size).distance, enough)
+
+
+def _near_refined(cell: Workcell, q: Array, enough: Array, matters: Array) -> Array:
+    """`_near` in one pass of as many steps as it takes; exact where it `matters` `[1 or b]`.
+
+    For few configurations, and where each has its own scene. A large batch in one scene takes twice
+    as long: it waits for the worst of its configurations.
+    """
+    if _all_balls(cell):
+        return jnp.minimum(_kernel(cell, q, against="all", measured=None).distance, enough)
+    return jnp.minimum(_refined(cell, q, enough, matters, against="all").distance, enough)
+
+
+def _refined(cell: Workcell, q: Array, enough: Array, matters: Array, *, against: str) -> Nearest:
+    """Nearest pairs in one pass, exact where they are nearer than `enough` and it `matters`."""
+    rows, blocks = robot_rows(cell, q)
+    cover_blocks, runs = split_blocks(cell, blocks)
+    nearest = no_pair(q.shape[0])
+    groups = groups_of(cell, cover_blocks, against)
+    if not groups:
+        return nearest
+    bounds = jnp.full(rows.centre.shape[1:], FAR)
+    for obstacles, pairing in groups:
+        bounds = row_bounds(rows, obstacles, pairing, bounds)
+    bounds = jnp.where(matters, bounds, FAR)
+    for span, row_boxes, measure in runs:
+        nearest = narrow_phase.refine(
+            measure, rows, row_boxes, groups, span, bounds, nearest, enough
+        )
+    return nearest
+
+
+def near_in_scenes(
+    cell: Workcell,
+    scenes: Scene,
+    q: Float[Array, "scene b n"],
+    enough: Array,
+    used: Int[Array, " scene"],
+) -> Float[Array, "scene b"]:
+    """`clearance_up_to` of configurations in several scenes, as many in each.
+
+    Args:
+        cell: robot and fixtures.
+        scenes: leaves `[scene, ...]`.
+        q: `[scene, b, joint]` configurations [rad or m].
+        enough: `[]` clearance beyond which nothing is told apart [m].
+        used: `[scene]` how many configurations count in each, from the first. What follows costs
+            little if whole scenes are unused from some on; these results mean nothing.
+    """
+    shared, places = jax.tree.map(lambda a: a[None], cell), jnp.arange(q.shape[1])
+
+    def measure(number):
+        # within a scene all obstacles are shared, which takes less than a scene for each row
+        scene_cell = shared.replace(scene=jax.tree.map(lambda a: a[number][None], scenes))
+        return _near_refined(scene_cell, q[number], enough[None], places < used[number])
+
+    numbers = jnp.arange(len(used))
+    if jax.default_backend() == "cpu":
+        return first_items(measure, numbers, jnp.sum(used > 0))
+    return jax.vmap(measure)(numbers)
 
 
 _NEAR = batched(_near)
@@ -149,55 +194,6 @@ _CLOSEST = {
     against: batched(functools.partial(_closest, against=against))
     for against in ("all", "world", "own")
 }
-
-
-def _block(shapes: Shapes, position, rotation, index) -> RoundedBoxes:
-    """Primitive `index` in the world, by components, from the pose of the frame that carries it."""
-    pose, half = shapes.pose[index], shapes.half_extents[index]
-    local = vec3.quat_matrix(pose[3:])
-    axes = [vec3.turn(rotation, [local[i][k] for i in range(3)]) for k in range(3)]
-    turned = [[axes[k][i] for k in range(3)] for i in range(3)]
-    radius = jnp.where(shapes.active[index] > 0, shapes.radius[index], -FAR)
-    return RoundedBoxes(
-        vec3.add(position, vec3.turn(rotation, pose[:3])), turned, half, half, radius
-    )
-
-
-def pair_distance(
-    cell: Workcell, q: Float[Array, " n"], row: Int[Array, ""], column: Int[Array, ""]
-) -> Float[Array, ""]:
-    """Signed distance of one pair, differentiable in `cell` and `q`.
-
-    Args:
-        cell: robot and scene.
-        q: `[joint]` configuration [rad or m].
-        row: `[]` number of the robot's or payload's primitive.
-        column: `[]` number of the obstacle: fixtures, then objects, then the robot's own `cover`.
-
-    Returns:
-        `[]` [m].
-    """
-    chain = jax.tree.map(lambda a: a[None], cell.chain)
-    positions, rotations = (a[..., 0] for a in link_frames(chain, q[None]))
-    shapes, links = local_shapes(cell), row_links(cell)
-    cover = jnp.append(cell.pairs.cover, 0)
-
-    def on_robot(index):
-        return _block(shapes, positions[:, links[index]], rotations[:, :, links[index]], index)
-
-    obstacle = on_robot(cover[jnp.clip(column - world_count(cell), 0, cover.size - 1)])
-    # indices are traced: each group is looked up, and the one that has the column is kept
-    column_offset = 0
-    for world_group in (cell.fixtures, cell.scene.objects):
-        if world_group.count:
-            selected = (column >= column_offset) & (column < column_offset + world_group.count)
-            local_index = jnp.clip(column - column_offset, 0, world_group.count - 1)
-            block = _block(world_group, jnp.zeros(3), jnp.eye(3), local_index)
-            obstacle = jax.tree.map(
-                lambda a, b, selected=selected: jnp.where(selected, a, b), block, obstacle
-            )
-        column_offset += world_group.count
-    return distance.rounded_box_rounded_box(on_robot(row), obstacle)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -248,8 +244,9 @@ def clearance(cell: Workcell, q: Float[Array, " n"]) -> Float[Array, ""]:
 
     Returns:
         `[]` [m]; negative where they overlap: the depth of the deepest overlap of two primitives.
-        A cylinder or mesh is several boxes: where it overlaps, the sign is right, and its depth is
-        that of the deepest box, which is at most its own. `FAR` where nothing can touch.
+        A cylinder is several boxes: where it overlaps, the sign is right, and its depth is that of
+        the deepest box, which is at most its own. Of hulls the depth is at least the true one.
+        `FAR` where nothing can touch.
 
     Raises:
         InputError: `q` is no configuration of the arm.
@@ -280,11 +277,3 @@ def clearance_up_to(
         enough: `[]` clearance beyond which nothing is told apart [m].
     """
     return _NEAR(cell, q, jnp.asarray(enough, q.dtype))
-
-
-def points_between(
-    start: Float[Array, " n"], end: Float[Array, " n"], samples: int
-) -> Float[Array, "sample n"]:
-    """Evenly spaced points `[sample, joint]` of a straight edge, without `start`, with `end`."""
-    phase = jnp.arange(1, samples + 1)[:, None] / samples
-    return start + phase * (end - start)

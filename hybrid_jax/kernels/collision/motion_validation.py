@@ -16,7 +16,8 @@ from jax import Array
 from jaxtyping import Bool, Float
 
 from hybrid_jax.kernels.argument_checks import checks, configuration
-from hybrid_jax.kernels.collision.clearance import clearance, clearance_up_to
+from hybrid_jax.kernels.batching import in_calls
+from hybrid_jax.kernels.collision.clearance import clearance, near_in_scenes
 from hybrid_jax.kernels.collision.rounded_boxes import local_shapes, row_links
 from hybrid_jax.runtime.kept_programs import kept
 from hybrid_jax.types import Scene, Workcell
@@ -25,10 +26,11 @@ PIECE = 0.1
 """Most that a point of the robot moves along one piece of a path that is to be proven [m]."""
 SPLIT = 8
 """Most pieces that a piece is split in where it comes close to something."""
-CHECKED = 64, 128, 256
-"""Sizes of calls that measure configurations of one scene: the smallest that suffices is used."""
-CHECKED_IN_SCENES = 64, 512
-"""Sizes of calls in which each configuration has its own scene."""
+GROUP, GROUPS = 64, (8,)
+"""Configurations that are measured together in one scene, and groups of a call: those that are not
+used cost nothing."""
+REACHES = (64,)
+"""Size of calls that bound the motion of the robot with what it holds in a scene."""
 FAR_ENOUGH = 0.05
 """Clearances beyond this are not told apart [m]."""
 
@@ -109,27 +111,7 @@ def edge_is_free(
     return least >= margin + tolerance, least
 
 
-@kept
-def _batch_clearance(cell: Workcell, scene: Scene, q: Float[Array, "point n"], enough: Array):
-    scene_cell = cell.replace(scene=scene)
-    return jax.vmap(lambda x: clearance_up_to(scene_cell, x, enough))(q)
-
-
-@kept
-def _scene_clearance(cell: Workcell, scenes: Scene, q: Float[Array, "point n"], enough: Array):
-    gap = lambda scene, x: clearance_up_to(cell.replace(scene=scene), x, enough)  # noqa: E731
-    return jax.vmap(gap)(scenes, q)
-
-
-def _in_calls(measure: Callable, q: np.ndarray, sizes: tuple[int, ...]) -> np.ndarray:
-    """`measure(rows, q[rows])` of all points `[n, joint]`, in calls of few sizes: few traces."""
-    results, start = [], 0
-    while start < len(q):
-        size = next((n for n in sizes if n >= len(q) - start), sizes[-1])
-        rows = np.minimum(np.arange(start, start + size), len(q) - 1)
-        results.append(np.asarray(measure(rows, q[rows].astype(np.float32)))[: len(q) - start])
-        start += size
-    return np.concatenate(results) if results else np.zeros(0, np.float32)
+_near = kept(near_in_scenes, hot=True)
 
 
 def path_clearance(cell: Workcell, q: np.ndarray, enough: float = FAR_ENOUGH) -> np.ndarray:
@@ -137,8 +119,26 @@ def path_clearance(cell: Workcell, q: np.ndarray, enough: float = FAR_ENOUGH) ->
 
     All in metres; on the host.
     """
-    limit = np.float32(enough)
-    return _in_calls(lambda _, q: _batch_clearance(cell, cell.scene, q, limit), q, CHECKED)
+    scene = jax.tree.map(lambda a: np.asarray(a)[None], cell.scene)
+    return clearances_in_scenes(cell, scene, np.zeros(len(q), int), q, enough)
+
+
+def _groups(which: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows in groups of `GROUP` that share a scene; a short group repeats its last row.
+
+    Args:
+        which: `[row]` scene of each.
+
+    Returns:
+        `[group]` scene of each, `[group, GROUP]` its rows, and `[group]` how many are not repeated.
+    """
+    order = np.argsort(which, kind="stable")
+    scenes, first, counts = np.unique(which[order], return_index=True, return_counts=True)
+    sizes = -(-counts // GROUP)
+    scene, number = split_counts(sizes)
+    place = number[:, None] * GROUP + np.arange(GROUP)
+    rows = order[first[scene][:, None] + np.minimum(place, counts[scene][:, None] - 1)]
+    return scenes[scene], rows, np.minimum(counts[scene] - number * GROUP, GROUP)
 
 
 def measure_here(cell: Workcell) -> Measure:
@@ -171,13 +171,21 @@ def clearances_in_scenes(
     Returns:
         `[point]` clearances, at most `enough` [m].
     """
-    scenes, limit = jax.device_get(scenes), np.float32(enough)
+    if not len(q):
+        return np.zeros(0, np.float32)
+    scenes, q, limit = jax.device_get(scenes), q.astype(np.float32), np.float32(enough)
+    scene, rows, sizes = _groups(which)
 
-    def measure(rows, q):
-        own_scenes = jax.tree.map(lambda a: a[which[rows]], scenes)
-        return _scene_clearance(cell, own_scenes, q, limit)
+    def run(group, used):
+        own_scenes = jax.tree.map(lambda a: a[scene[group]], scenes)
+        counts = np.where(np.arange(len(group)) < used, sizes[group], 0).astype(np.int32)
+        return _near(cell, own_scenes, q[rows[group]], limit, counts)
 
-    return _in_calls(measure, q, CHECKED_IN_SCENES)
+    gaps = np.empty(len(q), np.float32)
+    # what repeats a row is not measured
+    is_measured = np.arange(GROUP) < sizes[:, None]
+    gaps[rows[is_measured]] = in_calls(run, len(rows), GROUPS)[is_measured]
+    return gaps
 
 
 def split_counts(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -287,7 +295,5 @@ def paths_are_free(
         return np.ones(0, bool)
     scenes = jax.device_get(scenes)
     reach_of = lambda rows, _: _reaches(cell, jax.tree.map(lambda a: a[rows], scenes))  # noqa: E731
-    # a reach does not depend on the configuration: `starts` only says how many paths there are
-    starts = np.stack([path[0] for path in paths])
-    reach = _in_calls(reach_of, starts, CHECKED_IN_SCENES)
+    reach = in_calls(reach_of, len(paths), REACHES)
     return _prove(measure_in_scenes(cell, scenes), reach, paths, margin, tolerance)

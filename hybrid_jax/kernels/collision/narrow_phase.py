@@ -1,86 +1,38 @@
 # SPDX-License-Identifier: MIT
 """Narrow phase: exact distances of the pairs that the bounds leave, and the nearest of all.
 
-Only the most promising pairs are measured. The answer is certified where no unmeasured pair's bound
-is below it; `clearance` measures the others in full. Layout and loops as in the broad phase.
+The most promising pairs are measured first. An answer is certain where no unmeasured pair's bound
+is below it. `search` measures a fixed number of pairs, and `clearance` measures in full what is
+uncertain then; `refine` goes on until all is certain. Layout and loops as in the broad phase.
 
 A group of obstacles is (blocks, pairing). Columns are numbered through all groups.
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
 from hybrid_jax.kernels.collision.broad_phase import (
+    box_bound,
     column_of,
-    over_columns,
     pair_bound,
-    pair_flags,
 )
 from hybrid_jax.kernels.collision.distance import FAR
-from hybrid_jax.kernels.collision.primitive_kinds import PAIRS
+from hybrid_jax.kernels.collision.nearest_pair import Nearest, smallest, take
 from hybrid_jax.kernels.collision.rounded_boxes import RoundedBoxes, Rows
 
+_ROWS_AT_ONCE, _PAIRS_AT_ONCE = 5, 3
+"""Rows, and pairs of these, that one step of refining takes."""
+_HULLS_AT_ONCE, _HULL_PAIRS_AT_ONCE = 16, 2
+"""The same where there are hulls: a robot has few of them, and a pair costs much."""
 _WORD = 24
 """Flags in one word: float32 counts that far exactly."""
 
 
-class Nearest(NamedTuple):
-    """The nearest pair of each configuration of a batch."""
-
-    distance: Array
-    """`[b]` signed [m]; `FAR` where there is no pair."""
-    row: Array
-    """`[b]` the robot's or payload's primitive."""
-    column: Array
-    """`[b]` the obstacle, numbered through all groups."""
-    rest: Array
-    """`[b]` smallest lower bound of a pair that was not measured [m]."""
-
-    @property
-    def certain(self) -> Array:
-        """`[b]` False where an unmeasured pair might be nearer."""
-        return self.rest >= self.distance
-
-    def merge(self, other: "Nearest") -> "Nearest":
-        """The nearer `[b]` of two answers about disjoint sets of pairs."""
-        nearer = other.distance < self.distance
-        return Nearest(
-            distance=jnp.where(nearer, other.distance, self.distance),
-            row=jnp.where(nearer, other.row, self.row),
-            column=jnp.where(nearer, other.column, self.column),
-            rest=jnp.minimum(self.rest, other.rest),
-        )
-
-
-def _smallest(values: Array, count: int) -> tuple[Array, Array, Array]:
-    """The `count` smallest along the first axis, where they stand, and the smallest of the rest.
-
-    From values `[n, ...]` to `[count, ...]` twice and `[...]`; of equals the first one comes first.
-    """
-    size = values.shape[0]
-    index = jnp.arange(size, dtype=jnp.int32).reshape(size, *(1,) * (values.ndim - 1))
-    smallest, positions = [], []
-    for _ in range(count):
-        least = jnp.min(values, axis=0)
-        position = jnp.min(jnp.where(values == least, index, size - 1), axis=0)
-        smallest, positions = [*smallest, least], [*positions, position]
-        values = jnp.where(index == position, FAR, values)
-    return jnp.stack(smallest), jnp.stack(positions), jnp.min(values, axis=0)
-
-
-def _take(array: Array, index: Array) -> Array:
-    """Entries along the axis before the last: `[..., n, 1 or b]` at `[k, b]` to `[..., k, b]`."""
-    if array.shape[-1] == 1:
-        return array[..., 0][..., index]
-    index = index.reshape((1,) * (array.ndim - 2) + index.shape)
-    return jnp.take_along_axis(array, index, -2, mode="promise_in_bounds")
-
-
 def _take_rows(record, index: Array):
-    return type(record)(*(_take(a, index) for a in record))
+    return jax.tree.map(lambda a: take(a, index), record)
 
 
 def _row_flags(allowed: Array, row: Array) -> Array:
@@ -91,7 +43,7 @@ def _row_flags(allowed: Array, row: Array) -> Array:
         flags = allowed[:, first : first + _WORD]
         packed = (flags @ 2.0 ** jnp.arange(flags.shape[1])).astype(jnp.int32)[:, None]
         shift = jnp.arange(flags.shape[1], dtype=jnp.int32)[:, None, None]
-        words.append((_take(packed, row)[None] >> shift) & 1)
+        words.append((take(packed, row)[None] >> shift) & 1)
     return jnp.concatenate(words)
 
 
@@ -116,36 +68,109 @@ def search(
     columns = sum(blocks.radius.shape[0] for blocks, _ in groups)
     count = min(count, span.stop - span.start)
     pairs = min(pairs, count * columns)
-    _, span_index, other_rows = _smallest(best[span], count)
+    _, span_index, other_rows = smallest(best[span], count)
     row = span_index + span.start
     promising = _take_rows(rows, row)
-    bounds = []
-    for blocks, pairing in groups:
-        obstacles = RoundedBoxes(*(a[..., None, :] for a in blocks))
-        allowed = _row_flags(pairing.allowed, row)
-        exempt = _take(pairing.payload[:, None], row) * (1 - pairing.support[:, None])
-        bound = pair_bound(promising.centre, promising.extent, promising.radius, obstacles)
-        bounds.append(jnp.where(allowed - exempt > 0.5, bound, FAR))
     # a flat list of pairs, column by column: its index is column * count + rank of the row
-    table = jnp.concatenate(bounds).reshape(columns * count, -1)
-    bound, flat, other_pairs = _smallest(table, pairs)
+    own = row_boxes and _take_rows(row_boxes, span_index)
+    table = _pair_bounds(promising, own, row, groups).reshape(columns * count, -1)
+    bound, flat, other_pairs = smallest(table, pairs)
     column, rank = flat // count, flat % count
     operands = (
         _take_rows(promising, rank),
-        row_boxes and _take_rows(row_boxes, _take(span_index, rank)),
+        own and _take_rows(own, rank),
         _pick([b for b, _ in groups], column),
     )
+    distance, nearest = _measure(measure, operands, bound)
+    nearest_row = take(take(row, rank), nearest)[0]
+    nearest_column = take(column, nearest)[0]
+    return Nearest(distance, nearest_row, nearest_column, jnp.minimum(other_rows, other_pairs))
+
+
+def _measure(measure, operands, bound: Array) -> tuple[Array, Array]:
+    """The least distance `[b]` [m] of pairs with bounds `[pair, b]`, and its pair `[1, b]`."""
 
     def step(k, gap):
         pair_distance = measure(*(record and column_of(record, k) for record in operands))
         return gap.at[k].set(jnp.where(bound[k] < FAR / 2, pair_distance, FAR))
 
-    gap = jax.lax.fori_loop(0, pairs, step, jnp.full_like(bound, FAR))
-    gaps, nearest, _ = _smallest(gap, 1)
-    nearest_row = _take(_take(row, rank), nearest)[0]
-    return Nearest(
-        gaps[0], nearest_row, _take(column, nearest)[0], jnp.minimum(other_rows, other_pairs)
-    )
+    gap = jax.lax.fori_loop(0, len(bound), step, jnp.full_like(bound, FAR))
+    gaps, nearest, _ = smallest(gap, 1)
+    return gaps[0], nearest
+
+
+def _pair_bounds(promising: Rows, own: RoundedBoxes | None, row: Array, groups) -> Array:
+    """Bounds of rows `[k, b]` and all obstacles `[column, k, b]` [m]; `FAR` for no pair."""
+    bounds = []
+    for blocks, pairing in groups:
+        obstacles = jax.tree.map(lambda a: a[..., None, :], blocks)
+        allowed = _row_flags(pairing.allowed, row)
+        exempt = take(pairing.payload[:, None], row) * (1 - pairing.support[:, None])
+        bound = pair_bound(promising.centre, promising.extent, promising.radius, obstacles)
+        if own and own.hull is not None:
+            bound = jnp.maximum(bound, box_bound(own, obstacles))
+        bounds.append(jnp.where(allowed - exempt > 0.5, bound, FAR))
+    return jnp.concatenate(bounds)
+
+
+def refine(
+    measure, rows, row_boxes, groups, span: slice, best: Array, known: Nearest, enough: Array
+) -> Nearest:
+    """Measure the pairs of some rows in the order of their bounds, until nothing is undecided.
+
+    Args:
+        measure: distance of the pair, see `primitive_kinds.PAIRS`.
+        rows: the robot's primitives, all of them.
+        row_boxes: those of `span` as blocks where their kind is read so, else None.
+        groups: (blocks, pairing) of obstacles.
+        span: the rows to search, all of one kind.
+        best: `[row, b]` bounds of all rows, `row_bounds` over all groups [m].
+        known: the nearest pair of other rows.
+        enough: `[1 or b]` distance beyond which nothing is told apart [m].
+
+    Returns:
+        The nearest pair of each configuration, leaves `[b]`.
+    """
+    hulls = row_boxes is not None and row_boxes.hull is not None
+    count = min(_HULLS_AT_ONCE if hulls else _ROWS_AT_ONCE, span.stop - span.start)
+    columns = sum(blocks.radius.shape[0] for blocks, _ in groups)
+    pairs = min(_HULL_PAIRS_AT_ONCE if hulls else _PAIRS_AT_ONCE, count * columns)
+    span_number = jnp.arange(span.stop - span.start, dtype=jnp.int32)[:, None, None]
+    pair_number = jnp.arange(columns * count, dtype=jnp.int32)[:, None, None]
+
+    def undecided(state):
+        """Is any pair left, `[row or pair, b]`, that may be nearer than what is known?"""
+        bounds, nearest = state
+        return jnp.any(jnp.min(bounds, axis=0) < jnp.minimum(nearest.distance, enough))
+
+    def look_at_rows(state):
+        bounds, nearest = state
+        _, index, _ = smallest(bounds, count)
+        row = index + span.start
+        promising = _take_rows(rows, row)
+        # a flat list of pairs, as in `search`
+        own = row_boxes and _take_rows(row_boxes, index)
+        table = _pair_bounds(promising, own, row, groups).reshape(columns * count, -1)
+
+        def measure_pairs(state):
+            table, nearest = state
+            bound, flat, _ = smallest(table, pairs)
+            column, rank = flat // count, flat % count
+            operands = (
+                _take_rows(promising, rank),
+                own and _take_rows(own, rank),
+                _pick([b for b, _ in groups], column),
+            )
+            distance, at = _measure(measure, operands, bound)
+            found_row, found_column = take(take(row, rank), at)[0], take(column, at)[0]
+            found = Nearest(distance, found_row, found_column, nearest.rest)
+            is_measured = jnp.any(pair_number == flat, axis=1)
+            return jnp.where(is_measured, FAR, table), nearest.merge(found)
+
+        nearest = jax.lax.while_loop(undecided, measure_pairs, (table, nearest))[1]
+        return jnp.where(jnp.any(span_number == index, axis=1), FAR, bounds), nearest
+
+    return jax.lax.while_loop(undecided, look_at_rows, (best[span], known))[1]
 
 
 def _choose(blocks: RoundedBoxes, index: Array) -> RoundedBoxes:
@@ -156,13 +181,13 @@ def _choose(blocks: RoundedBoxes, index: Array) -> RoundedBoxes:
     size = blocks.radius.shape[0]
     flags = (jnp.arange(size)[:, None, None] == index).astype(blocks.centre.dtype)
 
-    def take(a) -> Any:
+    def choose(a) -> Any:
         if a.shape[-1] == 1:
             # a GPU's default precision, TF32, would round positions
             return jnp.einsum("...n,nkb->...kb", a[..., 0], flags, precision="highest")
         return sum(jnp.where(index == n, a[..., n : n + 1, :], 0.0) for n in range(size))
 
-    return RoundedBoxes(*(take(a) for a in blocks))
+    return jax.tree.map(choose, blocks)
 
 
 def _pick(groups: list[RoundedBoxes], column: Array) -> RoundedBoxes:
@@ -173,75 +198,3 @@ def _pick(groups: list[RoundedBoxes], column: Array) -> RoundedBoxes:
         parts.append(_choose(blocks, column - first))
         first += blocks.radius.shape[0]
     return jax.tree.map(lambda *a: sum(a), *parts)
-
-
-def tabulate(measure, rows, row_boxes, groups, span: slice) -> Nearest:
-    """Measure every pair of some rows: the plain answer, for few configurations.
-
-    All pairs at once, then the least of them by a loop: slices of columns inside the measuring, or
-    a minimum that is merged with it, do not vectorise on a CPU.
-
-    Args:
-        measure: distance of the pair, see `primitive_kinds.PAIRS`.
-        rows: the robot's primitives, all of them.
-        row_boxes: those of `span` as blocks where their kind is read so, else None.
-        groups: (blocks, pairing) of obstacles.
-        span: the rows to measure, all of one kind.
-
-    Returns:
-        The nearest pair of each configuration, leaves `[b]`.
-    """
-    rows = Rows(*(a[..., None, span, :] for a in rows))
-    row_boxes = row_boxes and RoundedBoxes(*(a[..., None, :, :] for a in row_boxes))
-    blocks = RoundedBoxes(
-        *(_join(a)[..., None, :] for a in zip(*(b for b, _ in groups), strict=True))
-    )
-    flags = jnp.swapaxes(_join([pair_flags(p).swapaxes(0, 1) for _, p in groups]), 0, 1)
-    gap = jnp.where(flags[:, span] > 0, measure(rows, row_boxes, blocks), FAR)
-
-    def nearer(i, state):
-        best, column = state
-        column_gap = jax.lax.dynamic_index_in_dim(gap, i, keepdims=False)
-        return jnp.minimum(best, column_gap), jnp.where(column_gap < best, i, column)
-
-    start = jnp.full(gap.shape[1:], FAR), jnp.zeros(gap.shape[1:], jnp.int32)
-    best, column = jax.lax.fori_loop(0, gap.shape[0], nearer, start)
-    gaps, row, _ = _smallest(best, 1)
-    nearest_column = _take(column, row)[0]
-    return Nearest(gaps[0], row[0] + span.start, nearest_column, jnp.full_like(gaps[0], FAR))
-
-
-def around(rows: Rows, own: RoundedBoxes, groups) -> Nearest:
-    """Measure every pair of a robot of balls, which is as cheap as a bound.
-
-    Args:
-        rows: the robot's balls.
-        own: its balls `ContactPairs.cover` as blocks; where they are a group, balls meet balls.
-        groups: (blocks, pairing) of obstacles.
-
-    Returns:
-        The nearest pair of each configuration, leaves `[b]`.
-    """
-    best = jnp.full(rows.radius.shape[:-1] + rows.centre.shape[-1:], FAR)
-    state, first = (best, jnp.zeros(best.shape, jnp.int32)), 0
-    for blocks, pairing in groups:
-        counts, count = pair_flags(pairing), blocks.radius.shape[0]
-        measure = PAIRS["ball", "ball" if blocks is own else "rounded box"]
-
-        def step(i, state, blocks=blocks, counts=counts, first=first, measure=measure):
-            best, column = state
-            column_gap = measure(rows, None, column_of(blocks, i))
-            counted_gap = jnp.where(counts[i] > 0, column_gap, FAR)
-            return jnp.minimum(best, counted_gap), jnp.where(counted_gap < best, first + i, column)
-
-        state = over_columns(count, step, state)
-        first += count
-    best, column = state
-    gaps, row, _ = _smallest(best, 1)
-    return Nearest(gaps[0], row[0], _take(column, row)[0], jnp.full_like(gaps[0], FAR))
-
-
-def _join(parts) -> Array:
-    """Columns of several groups `[..., n, 1 or b]` as one list, along the axis before the batch."""
-    batch = max(a.shape[-1] for a in parts)
-    return jnp.concatenate([jnp.broadcast_to(a, (*a.shape[:-1], batch)) for a in parts], axis=-2)

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.collision import distance
-from hybrid_jax.kernels.collision.ray_lengths import ray_box, ray_capsule
+from hybrid_jax.kernels.collision.ray_lengths import ray_box, ray_capsule, ray_polytope
 
 
 class PrimitiveKind(NamedTuple):
@@ -22,21 +22,24 @@ class PrimitiveKind(NamedTuple):
 
     name: str
     is_one: Callable[[Any], bool]
-    """From half extents `[3]` [m]: is a primitive with these of this kind?"""
+    """From half extents `[3]` [m]: is a primitive with these of this kind, if it is no hull?"""
     as_box: bool
     """Does its distance read a robot's primitive as `RoundedBoxes`, or as `Rows` alone?"""
     ray: Callable
     """Length of rays until they meet it, from origin, direction and its operands."""
     ray_operands: Callable
-    """From poses `[n, 7]`, half extents `[n, 3]` and radii `[n]` to what `ray` reads, by rows."""
+    """From poses `[n, 7]`, half extents `[n, 3]`, radii `[n]` and the faces `[n, face, 4]` of hulls
+    to what `ray` reads, by rows."""
 
 
-def _axis_ends(pose, half_extents, radius):
+def _axis_ends(pose, half_extents, radius, faces):
     """Ends `[n, 2, 3]` of the axes of capsules [m], and their radii `[n]` [m]."""
     axis = dq.quat_rotate(pose[:, 3:], half_extents * jnp.array([[0.0, 0.0, 1.0]]))
     return jnp.stack([pose[:, :3] - axis, pose[:, :3] + axis], axis=1), radius
 
 
+POLYTOPE = "polytope"
+"""Name of the kind that is a convex hull swept by a ball."""
 KINDS = (
     PrimitiveKind(
         "capsule",  # and sphere, a capsule without length
@@ -50,7 +53,14 @@ KINDS = (
         is_one=lambda half_extents: True,
         as_box=True,
         ray=ray_box,
-        ray_operands=lambda pose, half_extents, radius: (pose, half_extents),
+        ray_operands=lambda pose, half_extents, radius, faces: (pose, half_extents),
+    ),
+    PrimitiveKind(
+        POLYTOPE,
+        is_one=lambda half_extents: False,
+        as_box=True,
+        ray=ray_polytope,
+        ray_operands=lambda pose, half_extents, radius, faces: (pose, radius, faces),
     ),
 )
 """All kinds, in the order in which a list holds them; a primitive is of the first that fits."""
@@ -74,11 +84,14 @@ PAIRS: dict[tuple[str, str], Callable] = {
 """Exact signed distance of a robot's primitive and an obstacle [m], by their kinds.
 
 From the robot's `Rows`, the same as `RoundedBoxes` where its kind is read so (else None), and
-the obstacle as `RoundedBoxes`; components broadcast. Every obstacle is a rounded box, too."""
+the obstacle as `RoundedBoxes`; components broadcast. Every obstacle is a rounded box, too: where
+there are polytopes, `gjk.convex_distance` measures every pair."""
 
 
-def kind_of(half_extents: Sequence[float]) -> int:
+def kind_of(half_extents: Sequence[float], is_hull: bool = False) -> int:
     """Number in `KINDS` of a primitive with half extents `[3]` [m]."""
+    if is_hull:
+        return next(i for i, kind in enumerate(KINDS) if kind.name == POLYTOPE)
     return next(i for i, kind in enumerate(KINDS) if kind.is_one(half_extents))
 
 

@@ -5,6 +5,7 @@ A direction is three components, each an array of the rays' shape or a scalar; l
 shape. Origins and primitives are shared by all rays.
 """
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
@@ -82,6 +83,44 @@ def ray_box(
         blocked = jnp.where(jnp.abs(start) <= half[i], -jnp.inf, jnp.inf)
         t_entry = jnp.maximum(t_entry, jnp.where(parallel, blocked, jnp.minimum(t0, t1)))
         t_exit = jnp.minimum(t_exit, jnp.where(parallel, -blocked, jnp.maximum(t0, t1)))
+    return jnp.where(
+        (t_entry <= t_exit) & (t_exit >= 0), jnp.where(t_entry >= 0, t_entry, t_exit), jnp.inf
+    )
+
+
+def ray_polytope(
+    origin, direction, pose: Float[Array, "7"], radius, faces: Float[Array, "face 4"]
+) -> Float[Array, "*rays"]:
+    """Distance to a convex hull along rays [m]; infinity for a miss, from inside that to the exit.
+
+    Each face is moved out by the radius of the ball that sweeps the hull: rays that pass an edge
+    within the ball may meet it a little early.
+
+    Args:
+        origin: `[3]` where the rays start [m].
+        direction: three components `[...]` of unit vectors.
+        pose: `[7]` of the hull's frame in the world [m], quaternion.
+        radius: `[]` of the ball [m].
+        faces: `[face, 4]` outward normals and distances of the planes [m].
+    """
+    rotation, offset = dq.quat_matrix(pose[3:]), sub(origin, pose)
+    start = [sum(offset[j] * rotation[j, i] for j in range(3)) for i in range(3)]
+    slope = [sum(direction[j] * rotation[j, i] for j in range(3)) for i in range(3)]
+
+    def cut(state, face):
+        t_entry, t_exit = state
+        height = dot(face, start) - face[3] - radius
+        approach = dot(face, slope)
+        parallel = jnp.abs(approach) < 1e-9
+        t = -height / jnp.where(parallel, 1.0, approach)
+        # a ray along a face is on its inner side everywhere or nowhere
+        entry = jnp.where(parallel, jnp.where(height > 0, jnp.inf, -jnp.inf), t)
+        t_entry = jnp.where((approach < 0) | parallel, jnp.maximum(t_entry, entry), t_entry)
+        t_exit = jnp.where((approach > 0) & ~parallel, jnp.minimum(t_exit, t), t_exit)
+        return (t_entry, t_exit), None
+
+    everywhere = jnp.full_like(direction[0], jnp.inf)
+    (t_entry, t_exit), _ = jax.lax.scan(cut, (-everywhere, everywhere), faces)
     return jnp.where(
         (t_entry <= t_exit) & (t_exit >= 0), jnp.where(t_entry >= 0, t_entry, t_exit), jnp.inf
     )

@@ -6,6 +6,7 @@ obstacles. In shapes `b` is the batch, or 1 for what all of it shares.
 """
 
 import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -14,14 +15,23 @@ from jax import Array
 
 from hybrid_jax.kernels import vec3
 from hybrid_jax.kernels.collision.distance import FAR
-from hybrid_jax.kernels.collision.primitive_kinds import KINDS, joined_order, rows_as_boxes, spans
+from hybrid_jax.kernels.collision.gjk import convex_distance
+from hybrid_jax.kernels.collision.primitive_kinds import (
+    KINDS,
+    PAIRS,
+    POLYTOPE,
+    joined_order,
+    kinds_of,
+    rows_as_boxes,
+    spans,
+)
 from hybrid_jax.kernels.kinematics import link_frames
 from hybrid_jax.kernels.vec3 import Vector
 from hybrid_jax.types import PRIMITIVE_AXIS, Shapes, Workcell
 
 
 class RoundedBoxes(NamedTuple):
-    """Boxes swept by balls, in the world: blocks for short."""
+    """Boxes or hulls swept by balls, in the world: blocks for short."""
 
     centre: Vector
     """`[3, n, b]` [m]."""
@@ -33,6 +43,11 @@ class RoundedBoxes(NamedTuple):
     """`[3, n, b]` half extents of the enclosing box along the world's axes, without the ball."""
     radius: Array
     """`[n, b]` [m]; `-FAR` for an empty slot, which is thereby `FAR` from everything."""
+    hull: Array | None = None
+    """`[n, b]` number of the hull as a float, as obstacles are picked by products; None in a cell
+    without polytopes."""
+    scale: Vector | None = None
+    """`[3, n, b]` scales of the hull along its axes: half extents where it is the cube, else 1."""
 
 
 class Rows(NamedTuple):
@@ -125,10 +140,11 @@ def _reach(rotation, half) -> list:
     return [sum(jnp.abs(rotation[i][k]) * half[k] for k in range(3)) for i in range(3)]
 
 
-def world_boxes(shapes: Shapes) -> RoundedBoxes:
+def world_boxes(cell: Workcell, shapes: Shapes) -> RoundedBoxes:
     """Fixtures or objects as blocks.
 
     Args:
+        cell: that has them.
         shapes: in the world, leaves `[1 or b, n, ...]`.
 
     Returns:
@@ -136,7 +152,22 @@ def world_boxes(shapes: Shapes) -> RoundedBoxes:
     """
     centre, rotation, half = _local(shapes)
     extent = vec3.stack(_reach(rotation, half))
-    return RoundedBoxes(centre, vec3.stack(rotation), half, extent, _radius(shapes).T)
+    blocks = RoundedBoxes(centre, vec3.stack(rotation), half, extent, _radius(shapes).T)
+    return blocks._replace(**_hulls(cell, shapes, half))
+
+
+def has_polytopes(cell: Workcell) -> bool:
+    """Are there convex hulls among the primitives? Then all of them are measured as hulls."""
+    return cell.hulls.faces.shape[-3] > 0
+
+
+def _hulls(cell: Workcell, shapes: Shapes, half: Array) -> dict[str, Array]:
+    """`hull` and `scale` of `RoundedBoxes` where a cell has them, from half extents `[3, n, b]`."""
+    if not has_polytopes(cell):
+        return {}
+    is_polytope = jnp.array([KINDS[k].name == POLYTOPE for k in kinds_of(shapes.counts)], bool)
+    scale = jnp.where(is_polytope[:, None], 1.0, half)
+    return {"hull": shapes.hull.T.astype(half.dtype), "scale": scale}
 
 
 def _local(shapes: Shapes):
@@ -159,7 +190,7 @@ def robot_rows(cell: Workcell, q: Array) -> tuple[Rows, RoundedBoxes]:
         of the kinds that are read as boxes, leaves `[..., n, b]`; see `split_blocks`.
     """
     shapes = local_shapes(cell)
-    links, box_rows = row_links(cell), rows_as_boxes(row_counts(cell))
+    links, box_rows = row_links(cell), _box_rows(cell)
     positions, rotations = link_frames(cell.chain, q)
     positions, to_world = (jnp.take(a, links, axis=-2, mode="clip") for a in (positions, rotations))
     centre, rotation, half = _local(shapes)
@@ -175,7 +206,20 @@ def robot_rows(cell: Workcell, q: Array) -> tuple[Rows, RoundedBoxes]:
     )
     axes = [vec3.turn(to_world, rotation[:, k]) for k in range(3)]
     rotation = vec3.stack([[axes[k][i] for k in range(3)] for i in range(3)])
-    return rows, RoundedBoxes(centre, rotation, half, extent, radius)
+    blocks = RoundedBoxes(centre, rotation, half, extent, radius)
+    hulls = _hulls(cell, shapes, _local(shapes)[2])
+    return rows, blocks._replace(
+        **{
+            name: jnp.concatenate([_some(a, cover(cell)), _some(a, box_rows)], axis=-2)
+            for name, a in hulls.items()
+        }
+    )
+
+
+def _box_rows(cell: Workcell) -> list[int]:
+    """Rows that are measured as blocks: of some kinds, and all where there are polytopes."""
+    counts = row_counts(cell)
+    return list(range(sum(counts))) if has_polytopes(cell) else rows_as_boxes(counts)
 
 
 def _some(array: Array, rows: list[int] | Array) -> Array:
@@ -193,24 +237,32 @@ def cover(cell: Workcell) -> Array:
 
 def split_blocks(
     cell: Workcell, blocks: RoundedBoxes
-) -> tuple[RoundedBoxes, list[RoundedBoxes | None]]:
-    """The blocks of `robot_rows` apart: the cover, then those of each kind; None for no boxes.
+) -> tuple[RoundedBoxes, list[tuple[slice, RoundedBoxes | None, Callable]]]:
+    """The blocks of `robot_rows` apart: the cover, then those of rows that are measured alike.
 
     Args:
         cell: the robot.
         blocks: leaves `[..., n, b]`.
+
+    Returns:
+        The cover, and for each run of rows its span, its rows as blocks (None where they are not
+        read so), and the distance of a pair, as in `primitive_kinds.PAIRS`.
     """
     first = cell.pairs.cover.shape[-1]
-    cover_blocks = RoundedBoxes(*(a[..., :first, :] for a in blocks))
-    by_kind: list[RoundedBoxes | None] = []
-    for kind, count in zip(KINDS, row_counts(cell), strict=True):
+    part = lambda start, stop: jax.tree.map(lambda a: a[..., start:stop, :], blocks)  # noqa: E731
+    if has_polytopes(cell):
+        hulls = jax.tree.map(lambda a: a[0], cell.hulls)
+        measure = lambda rows, own, block: convex_distance(hulls, own, block)  # noqa: E731
+        span = slice(0, sum(row_counts(cell)))
+        return part(0, first), [(span, part(first, first + span.stop), measure)]
+    cover_blocks, runs = part(0, first), []
+    for kind, span in zip(KINDS, spans(row_counts(cell)), strict=True):
+        count, own = span.stop - span.start, None
         if kind.as_box:
-            span = slice(first, first + count)
-            by_kind.append(RoundedBoxes(*(a[..., span, :] for a in blocks)))
-            first += count
-        else:
-            by_kind.append(None)
-    return cover_blocks, by_kind
+            own, first = part(first, first + count), first + count
+        if count:
+            runs.append((span, own, PAIRS[kind.name, "rounded box"]))
+    return cover_blocks, runs
 
 
 def row_counts(cell: Workcell) -> tuple[int, ...]:
