@@ -50,6 +50,8 @@ def main(
     if fit and tasks:
         fit, doubts, sentence = plan_tasks(loaded, tasks, skills, quiet)
         rows, sentences = rows + doubts, [*sentences, sentence]
+    if not fit and any(finding.mended for finding in diagnosis):
+        sentences = [*sentences, f"to mend it: python -m hybrid_jax.adopt {cell} --out FOLDER"]
     text = "\n".join([*(f"{level:9s} {line}" for level, line in rows), *sentences])
     findings = [{"level": level, "text": line} for level, line in rows]
     answer(text, {"fit": fit, "findings": findings, "summary": sentences}, json)
@@ -108,6 +110,7 @@ def plan_tasks(
     from hybrid_jax.planner.pipeline import plan_batch
     from hybrid_jax.runs.load_planner import untrained_planner
     from hybrid_jax.runs.presets import DEFAULT
+    from hybrid_jax.runtime.program_durations import being_made
     from hybrid_jax.tasks.registry import random_task
     from hybrid_jax.types import Status
     from hybrid_jax.workcell.diagnosis import DOUBTFUL
@@ -117,7 +120,7 @@ def plan_tasks(
     config = replace(DEFAULT.planner, path_ik=path_ik, quick_path_ik=None)
     planner = untrained_planner(cell, 1.0, config, skills)
     problems = [random_task(cell, seed) for seed in range(count)]
-    with working("check", f"planning {count} tasks (a first time also compiles)", quiet):
+    with working("check", f"planning {count} tasks", quiet, being_made):
         results = plan_batch(planner, problems, key=jax.random.key(0))
     failed = [(task, r) for task, r in zip(problems, results, strict=True) if r.status != Status.OK]
     doubts = [

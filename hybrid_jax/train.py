@@ -70,7 +70,13 @@ def main(
         remark(f"run folder: {run.folder}")
     if tensorboard:
         run = with_board(run)
-    selected = stages or [s for s in run_folder.STAGES if not (resume and run.finished(s))]
+    possible = run_folder.STAGES if run.cell.source.task else run_folder.STAGES[:1]
+    if not stages and possible != run_folder.STAGES:
+        remark(
+            f"the cell {run.cell.source.name!r} has no task data: its map is made, and nothing can "
+            f"be learned without tasks; write {run.cell.source.name}.toml beside its MJCF"
+        )
+    selected = stages or [s for s in possible if not (resume and run.finished(s))]
     rows = run_stages(run, [s for s in run_folder.STAGES if s in selected], quiet)
     answer(summary(rows), {"run": str(run.folder), "stages": rows}, json)
     return STOPPED if rows and rows[-1].get("stopped") else 0

@@ -23,8 +23,10 @@ os.environ.setdefault(
 )
 
 from hybrid_jax.runtime.compile_cache import enable_compile_cache  # noqa: E402
+from hybrid_jax.runtime.terminal import collect_garbage_rarely  # noqa: E402
 
 enable_compile_cache()
+collect_garbage_rarely()
 
 import numpy as np  # noqa: E402
 
@@ -59,9 +61,9 @@ def few_programs():
     XLA crashes where Linux refuses one more (`vm.max_map_count`).
     """
     yield
-    import jax
+    from hybrid_jax.runtime.kept_programs import forget_programs
 
-    jax.clear_caches()
+    forget_programs()
 
 
 @pytest.fixture

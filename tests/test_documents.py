@@ -3,7 +3,8 @@
 
 What a line is run as, `variant` says: trainings use preset `smoke`. Of benchmarks, studies and
 servers the options are looked up in their `--help`; test_study.py, test_command_line.py,
-test_view.py and test_teach.py run them. Python snippets are run as they are printed.
+test_view.py, test_teach.py, test_serve.py and test_warm.py run them. Python snippets are run as
+they are printed.
 """
 
 import io
@@ -23,6 +24,7 @@ import pytest
 import tyro
 
 from hybrid_jax import check, demos, plan, train
+from hybrid_jax.adopt import __main__ as adopt_command
 from hybrid_jax.export import __main__ as export_command
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -30,6 +32,7 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 COMMANDS = {
     "train": train.main,
     "plan": plan.main,
+    "adopt": adopt_command.main,
     "check": check.main,
     "export": export_command.main,
     "demos": demos.COMMANDS,
@@ -134,7 +137,8 @@ def test_commands(workspace, page, line):
     assert words[0] == "-m", f"{page}: a command that this test does not know"
     module, rest = words[1], words[2:]
     package, _, name = module.partition(".")
-    if package == "benchmarks" or name in ("view", "teach", "evaluate") or lacks_run(rest):
+    looked_up = name in ("view", "teach", "evaluate", "serve", "warm") or "--server" in rest
+    if package == "benchmarks" or looked_up or lacks_run(rest):
         done = subprocess.run(
             [sys.executable, "-m", module, "--help"], cwd=ROOT, capture_output=True, text=True
         )

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Models as others write them: nothing that they say is lost, nothing is guessed without a word."""
 
+import sys
+
 import numpy as np
 import pytest
 from arms import CELL, findings, joint, link, load
@@ -116,10 +118,17 @@ def test_a_run_keeps_the_tool_that_was_named(tmp_path):
 def test_endings_in_any_case_and_files_of_other_kinds(tmp_path):
     assert load(tmp_path, ARM + "</robot>", "ARM.URDF").joint_names == ("j1", "j2")
     assert load(tmp_path, CELL.format(more=""), "CELL.XML").joint_names == ("a",)
-    with pytest.raises(WorkcellError, match=r"xacro arm.urdf.xacro > arm.urdf"):
-        load(tmp_path, ARM + "</robot>", "arm.urdf.xacro")
-    with pytest.raises(WorkcellError, match="none of .xml, .urdf, .mjb"):
+    with pytest.raises(WorkcellError, match="none of .xml, .urdf, .xacro, .mjb"):
         load(tmp_path, ARM, "arm.txt")
+
+
+def test_a_xacro_is_read_or_says_what_it_takes(tmp_path, monkeypatch):
+    with monkeypatch.context() as without:
+        without.setitem(sys.modules, "xacrodoc", None)
+        with pytest.raises(WorkcellError, match=r"pip install 'hybrid_jax\[adopt\]'"):
+            load(tmp_path, ARM + "</robot>", "arm.urdf.xacro")
+    pytest.importorskip("xacrodoc")
+    assert load(tmp_path, ARM + "</robot>", "arm.urdf.xacro").joint_names == ("j1", "j2")
 
 
 MESH = '<collision><geometry><mesh filename="{}"/></geometry></collision>'

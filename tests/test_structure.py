@@ -31,8 +31,8 @@ LAYERS = (
     {"runs"},
     {"baselines"},
     {"studies", "export", "web"},
-    {"teach", "view"},
-    {"train", "plan", "evaluate", "check", "demos"},
+    {"teach", "view", "serve", "adopt"},
+    {"train", "plan", "evaluate", "check", "demos", "warm"},
 )
 """Folders and modules of the package from the lowest up; one imports what stands below it only."""
 LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}

@@ -29,9 +29,9 @@ from hybrid_jax.errors import (
     WorkcellError,
 )
 from hybrid_jax.runs.run_folder import create_run, open_run, read_config
-from hybrid_jax.runtime import artifacts, compile_cache, devices, input_files, terminal
-from hybrid_jax.runtime.artifacts import write_text
+from hybrid_jax.runtime import compile_cache, devices, input_files, output_files, terminal
 from hybrid_jax.runtime.input_files import MOST_TEXT, read_text
+from hybrid_jax.runtime.output_files import write_text
 from hybrid_jax.tasks.registry import read_task
 from hybrid_jax.workcell.assets import robots_folder
 from hybrid_jax.workcell.description import read_task_data
@@ -245,8 +245,8 @@ def test_a_file_system_without_hard_links_holds_runs(tmp_path, monkeypatch):
         raise PermissionError("no links here")
 
     monkeypatch.setattr(os, "link", refuse)
-    artifacts.write_new(tmp_path / "config.json", "{}")
+    output_files.write_new(tmp_path / "config.json", "{}")
     with pytest.raises(FileExistsError):
-        artifacts.write_new(tmp_path / "config.json", "[]")
+        output_files.write_new(tmp_path / "config.json", "[]")
     assert [path.name for path in tmp_path.iterdir()] == ["config.json"]
     assert (tmp_path / "config.json").read_text() == "{}"

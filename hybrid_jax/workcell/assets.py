@@ -5,8 +5,8 @@ from pathlib import Path
 
 from hybrid_jax.errors import UnknownNameError, WorkcellError
 
-ENDINGS = ".xml", ".urdf", ".mjb"
-"""Kinds of files that a cell is read from: MJCF, URDF, compiled MJCF; in any case."""
+ENDINGS = ".xml", ".urdf", ".xacro", ".mjb"
+"""Kinds of files that a cell is read from: MJCF, URDF, xacro, compiled MJCF; in any case."""
 _PACKAGE = Path(__file__).resolve().parent.parent
 
 
@@ -38,11 +38,6 @@ def find_workcell(name_or_path: str | Path) -> Path:
         ending = path.suffix.lower()
         if ending in ENDINGS:
             return path.resolve()
-        if ending == ".xacro":
-            raise WorkcellError(
-                f"{path} is a xacro file, which must be expanded first: xacro {path.name} > "
-                f"{path.stem.removesuffix('.urdf')}.urdf"
-            )
         raise WorkcellError(f"{path} is no work cell: its ending is none of {', '.join(ENDINGS)}")
     shipped = robots_folder() / "workcells" / f"{name_or_path}.xml"
     if shipped.is_file():

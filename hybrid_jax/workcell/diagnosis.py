@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: MIT
 """All faults of a cell's model at once, where `load_workcell` stops at the first."""
 
-import copy
 import itertools
-from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +12,8 @@ import numpy as np
 from hybrid_jax.errors import HybridJaxError, WorkcellError
 from hybrid_jax.runtime.quiet import engine_messages
 from hybrid_jax.workcell import geometry
-from hybrid_jax.workcell.allowed_collisions import forbidden_contacts, home_overlaps, overlaps
+from hybrid_jax.workcell.allowed_collisions import home_overlaps
+from hybrid_jax.workcell.always_touching import touching_pairs
 from hybrid_jax.workcell.approximation import ellipsoid_excess
 from hybrid_jax.workcell.chain import (
     DEFAULT_ACCELERATION,
@@ -22,17 +21,14 @@ from hybrid_jax.workcell.chain import (
     joint_frames,
     reference_data,
 )
-from hybrid_jax.workcell.compile import MESH_TOLERANCE, require_geometry
+from hybrid_jax.workcell.compile import require_geometry
+from hybrid_jax.workcell.convex_hulls import MESH_TOLERANCE
 from hybrid_jax.workcell.description import TaskData, read_task_data
 from hybrid_jax.workcell.layout import Layout, body_path, find_layout, home_qpos
-from hybrid_jax.workcell.load import as_spec, read_model
+from hybrid_jax.workcell.load import as_spec, is_urdf, read_model
 from hybrid_jax.workcell.tool_frame import longest_chain
 
 WRONG, DOUBTFUL = "wrong", "doubtful"
-SAMPLES = 200
-"""Random configurations in which a pair must touch to be said to touch always."""
-CLOSE = 0.004
-"""A pair of bodies that is never further apart leaves no clearance to any motion [m]."""
 NARROW = 0.2
 """Range of a hinge below which it was probably meant in other units [rad]."""
 FASTEST = {"rad": 30.0, "m": 20.0}
@@ -51,6 +47,8 @@ class Finding:
     level: str
     """`wrong`: nothing can be planned; `doubtful`: it can, but perhaps not what you want."""
     text: str
+    mended: bool = False
+    """Is it something that `hybrid_jax.adopt` adds to the model?"""
 
 
 def diagnose(
@@ -121,6 +119,13 @@ def _geoms(model: mujoco.MjModel, tolerance: float) -> Iterator[Finding]:
             excess = 1e3 * ellipsoid_excess(model.geom_size[g])
             text = f"the ellipsoid {geometry.geom_label(model, g)} is taken as a rounded box"
             yield Finding(DOUBTFUL, f"{text} around it, up to {excess:.1f} mm larger")
+        if model.geom_type[g] == geometry.MESH and model.geom_rbound[g] > LONGEST:
+            text = f"the mesh of geom {geometry.geom_label(model, g)} has a radius of"
+            yield Finding(
+                DOUBTFUL,
+                f"{text} {model.geom_rbound[g]:.0f} m: was it drawn in millimetres? Then give it "
+                "scale='0.001 0.001 0.001'",
+            )
         try:
             geometry.primitives(model, data, g, world, tolerance)
         except WorkcellError as error:
@@ -141,7 +146,7 @@ def _joints(path: Path, model: mujoco.MjModel, layout: Layout) -> Iterator[Findi
             text = f"joint {name!r} has no range: it turns as often as it likes"
             yield Finding(DOUBTFUL, f"{text}; add range='low high' if it must not")
         elif not model.jnt_limited[j]:
-            yield Finding(WRONG, f"slide joint {name!r} has no range: add range='low high'")
+            yield Finding(WRONG, f"slide joint {name!r} has no range: add range='low high'", True)
         elif unit == "rad" and high - low < NARROW:
             yield Finding(
                 DOUBTFUL,
@@ -159,7 +164,7 @@ def _joints(path: Path, model: mujoco.MjModel, layout: Layout) -> Iterator[Findi
 def _rates(path: Path, model: mujoco.MjModel, name: str, unit: str, j: int) -> Iterator[Finding]:
     """Velocity and acceleration limits of one joint."""
     remedy = "add user='velocity acceleration' to it and <size nuser_jnt='2'/> to the model"
-    if path.suffix.lower() == ".urdf":
+    if is_urdf(path):
         remedy = "a URDF states velocities in <limit>; what else there is to say takes an MJCF"
     rates = (("velocity", DEFAULT_VELOCITY, "s"), ("acceleration", DEFAULT_ACCELERATION, "s^2"))
     for column, (quantity, default, per) in enumerate(rates):
@@ -172,6 +177,7 @@ def _rates(path: Path, model: mujoco.MjModel, name: str, unit: str, j: int) -> I
                 DOUBTFUL,
                 f"joint {name!r} states no {quantity} limit: {default:g} {unit}/{per} is used; "
                 f"{remedy}",
+                mended=True,
             )
         elif value < SLOWEST:
             text = f"joint {name!r} has the {quantity} limit {value:g} {unit}/{per}"
@@ -242,14 +248,15 @@ def _home(path: Path, model: mujoco.MjModel, layout: Layout) -> Iterator[Finding
                 WRONG,
                 f"the home configuration has joint {name!r} at {home[address]:.3f} {unit}, outside "
                 f"its limits {low:.3f} to {high:.3f}; {remedy}",
+                mended=True,
             )
     for sentence in home_overlaps(model, layout):
-        yield Finding(WRONG, sentence)
+        yield Finding(WRONG, sentence, mended=True)
 
 
 def _states_home(path: Path) -> bool:
     """Does the file itself hold a keyframe?"""
-    if path.suffix.lower() == ".urdf":
+    if is_urdf(path):
         return False
     if path.suffix.lower() == ".mjb":
         return mujoco.MjModel.from_binary_path(str(path)).nkey > 0
@@ -259,31 +266,21 @@ def _states_home(path: Path) -> bool:
 
 def _always_touching(model: mujoco.MjModel, layout: Layout) -> Iterator[Finding]:
     """Bodies that touch, or nearly, in every configuration: a missing exclusion, or a bad geom."""
-    model = copy.deepcopy(model)
-    # MuJoCo reports contacts of geoms that are closer than their margins, not overlaps alone
-    model.geom_margin[:] = model.body_margin[:] = model.pair_margin[:] = CLOSE
-    rng, data = np.random.default_rng(0), reference_data(model, layout)
-    forbidden, joints = forbidden_contacts(model, layout), list(layout.joints)
-    limited = model.jnt_limited[joints].astype(bool)[:, None]
-    low, high = np.sort(np.where(limited, model.jnt_range[joints], [-np.pi, np.pi]), axis=1).T
-    depths = defaultdict(list)
-    for _ in range(SAMPLES):
-        data.qpos[list(layout.qpos)] = rng.uniform(low, high)
-        for pair, depth in overlaps(model, data, forbidden, CLOSE).items():
-            depths[pair].append(depth)
-    for (a, b), pair_depths in depths.items():
-        if len(pair_depths) < SAMPLES:
+    for found in touching_pairs(model, layout):
+        if found.share < 1:
             continue
+        a, b = found.geoms
         pair = f"{geometry.geom_label(model, a)} and {geometry.geom_label(model, b)}"
         bodies = [geometry.body_label(model, int(model.geom_bodyid[g])) for g in (a, b)]
         relation = (
             "overlap in every configuration"
-            if min(pair_depths) > 0
-            else f"are never further apart than {max(0.0, -1e3 * min(pair_depths)):.1f} mm, "
+            if found.least_depth > 0
+            else f"are never further apart than {max(0.0, -1e3 * found.least_depth):.1f} mm, "
             "and no motion keeps a margin"
         )
         yield Finding(
             WRONG,
             f"{pair} {relation}: add <exclude body1='{bodies[0]}' body2='{bodies[1]}'/> to the "
             "<contact> of an MJCF, or make one of them smaller",
+            mended=True,
         )

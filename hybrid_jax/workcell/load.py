@@ -2,7 +2,7 @@
 """Load a work cell from a name or a file, and refuse one that cannot be planned in."""
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import jax
@@ -17,13 +17,15 @@ from hybrid_jax.runtime.quiet import engine_messages
 from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.allowed_collisions import home_overlaps
 from hybrid_jax.workcell.assets import find_workcell
-from hybrid_jax.workcell.compile import MESH_TOLERANCE, compile_workcell
+from hybrid_jax.workcell.compile import compile_workcell
+from hybrid_jax.workcell.convex_hulls import MESH_TOLERANCE
 from hybrid_jax.workcell.description import read_task_data
 from hybrid_jax.workcell.home import free_home
 from hybrid_jax.workcell.layout import home_qpos
 from hybrid_jax.workcell.poses import as_row, of_rows
 from hybrid_jax.workcell.tool_frame import set_tool
 from hybrid_jax.workcell.urdf import read_urdf
+from hybrid_jax.workcell.xacro_files import ENDING
 
 _NUMBERS = (
     "body_pos",
@@ -45,10 +47,19 @@ _ABSURD = 1e6
 """Number from which on a model is refused: no length of a work cell is as large [m]."""
 
 
-def as_spec(path: Path, package_paths: Sequence[Path] = ()) -> mujoco.MjSpec:
+def is_urdf(path: Path) -> bool:
+    """Is a file a URDF, or a xacro file that becomes one?"""
+    return path.suffix.lower() in (".urdf", ENDING)
+
+
+def as_spec(
+    path: Path,
+    package_paths: Sequence[Path] = (),
+    xacro_arguments: Mapping[str, str] | None = None,
+) -> mujoco.MjSpec:
     """Spec of an MJCF or URDF file as it is written; a URDF's is completed by `read_urdf`."""
-    if path.suffix.lower() == ".urdf":
-        return read_urdf(path, package_paths)
+    if is_urdf(path):
+        return read_urdf(path, package_paths, xacro_arguments)
     if path.suffix == ".xml":
         return mujoco.MjSpec.from_file(str(path))
     # MuJoCo does not know a file by an ending in capitals
@@ -72,7 +83,7 @@ def read_spec(path: Path, tool: str = "", package_paths: Sequence[Path] = ()) ->
         WorkcellError, UnknownNameError: see `read_model`.
     """
     spec = as_spec(path, package_paths)
-    if tool or path.suffix.lower() == ".urdf":
+    if tool or is_urdf(path):
         set_tool(spec, tool)
     home = free_home(compile_spec(spec))
     if home is not None:
@@ -139,7 +150,7 @@ def load_workcell(
 
     Args:
         name_or_path: name of a shipped cell, or path of an MJCF, URDF or MJB file.
-        mesh_tolerance: how far the boxes of a mesh may stand out of its convex hull [m].
+        mesh_tolerance: how far the polytope of a mesh may stand out of its convex hull [m].
         tool: site or link that is the tool; as the task data say, or found, if empty.
         package_paths: folders that hold the ROS packages of a URDF's meshes.
 

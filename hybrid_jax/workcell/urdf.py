@@ -1,49 +1,113 @@
 # SPDX-License-Identifier: MIT
 """URDF as an MjSpec, with what MuJoCo's importer leaves out: `package://` and velocity limits."""
 
-import os
-from collections.abc import Sequence
+import functools
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
 import mujoco
+import numpy as np
 
 from hybrid_jax.errors import WorkcellError
+from hybrid_jax.runtime.terminal import remark
+from hybrid_jax.workcell.mesh_files import readable_mesh
+from hybrid_jax.workcell.ros_packages import PACKAGE, package_folders, where_packages_were_sought
+from hybrid_jax.workcell.xacro_files import ENDING, expand_xacro
 
-PACKAGE = "package://"
-"""How the name of a mesh begins that lies in a ROS package."""
-_VARIABLES = "ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH"
-"""Environment variables in which ROS lists the folders of its packages."""
+LEAST_MASS, LEAST_INERTIA = 1e-4, 1e-8
+"""Mass [kg] and inertia [kg m^2] of a moving link that states less."""
 
 
-def read_urdf(path: Path, package_paths: Sequence[Path] = ()) -> mujoco.MjSpec:
+def read_urdf(
+    path: Path,
+    package_paths: Sequence[Path] = (),
+    xacro_arguments: Mapping[str, str] | None = None,
+) -> mujoco.MjSpec:
     """Spec of a URDF, with velocity limits in the joints' `user` data as in a cell's MJCF.
 
     Args:
-        path: of the file.
+        path: of the file, or of a xacro file.
         package_paths: folders that hold ROS packages, looked at first.
+        xacro_arguments: values of a xacro file's arguments by their names.
 
     Raises:
         WorkcellError: the file is no XML, or the package or file of a mesh is not found.
         ValueError: MuJoCo cannot read it.
     """
     try:
-        robot = ElementTree.fromstring(path.read_bytes())
+        if path.suffix.lower() == ENDING:
+            content = expand_xacro(path, package_paths, xacro_arguments).encode()
+        else:
+            content = path.read_bytes()
+        robot = ElementTree.fromstring(_with_prefixes(content))
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise WorkcellError(f"{path.name} is no XML: {error}") from None
     compiler = _compiler(robot)
+    _mend_inertias(path, robot)
     _leave_visuals_out(robot, compiler)
+    faults = []
     for mesh in robot.iter("mesh"):
-        if "filename" in mesh.attrib:
-            file = _mesh_path(path, mesh.get("filename", ""), package_paths, compiler)
-            mesh.set("filename", str(file))
+        try:
+            if "filename" in mesh.attrib:
+                file = _mesh_path(path, mesh.get("filename", ""), package_paths, compiler)
+                mesh.set("filename", str(readable_mesh(file)))
+        except WorkcellError as error:
+            faults.append(str(error))
+    if faults:
+        raise WorkcellError("; ".join(dict.fromkeys(faults)))
     # the meshes are named by whole paths now, which these two settings would change
     compiler.set("strippath", "false")
     compiler.attrib.pop("meshdir", None)
     spec = mujoco.MjSpec.from_string(ElementTree.tostring(robot, encoding="unicode"))
     spec.compiler.fusestatic = False  # a tool link without geometry would vanish
+    spec.compiler.balanceinertia = True
+    # links that only carry frames have no mass, which MuJoCo refuses where they move
+    spec.compiler.boundmass = max(spec.compiler.boundmass, LEAST_MASS)
+    spec.compiler.boundinertia = max(spec.compiler.boundinertia, LEAST_INERTIA)
     _state_velocities(spec, robot)
     return spec
+
+
+def _mend_inertias(path: Path, robot: ElementTree.Element) -> None:
+    """Replace matrices that are no inertias, which MuJoCo refuses: no plan depends on them."""
+    names = "ixx", "iyy", "izz", "ixy", "ixz", "iyz"
+    for link in robot.iter("link"):
+        for element in link.iter("inertia"):
+            try:
+                xx, yy, zz, xy, xz, yz = (float(element.get(name, "0")) for name in names)
+            except ValueError:
+                continue  # MuJoCo names it
+            matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+            if not np.isfinite(matrix).all() or np.linalg.eigvalsh(matrix)[0] > 0:
+                continue
+            for name in names:
+                element.set(name, str(1e-4 if name[1] == name[2] else 0))
+            if matrix.any():
+                _say_once(
+                    f"{path.name}: the inertia of link {link.get('name')!r} is none: one of "
+                    "its eigenvalues is not positive. A small one is used"
+                )
+
+
+@functools.cache
+def _say_once(sentence: str) -> None:
+    remark(sentence)
+
+
+def _with_prefixes(content: bytes) -> bytes:
+    """The same XML, in which prefixes of names that nothing declares are declared.
+
+    ROS's own readers know no namespaces, so extensions of others (`drake:`) often stand so.
+    """
+    used = set(re.findall(rb"</?([A-Za-z_][\w.-]*):[A-Za-z_]", content))
+    used |= set(re.findall(rb"\s([A-Za-z_][\w.-]*):[\w.-]+\s*=\s*[\"']", content))
+    declared = set(re.findall(rb"xmlns:([\w.-]+)", content))
+    missing = b"".join(
+        b' xmlns:%b="%b"' % (name, name) for name in sorted(used - declared - {b"xml", b"xmlns"})
+    )
+    return re.sub(rb"<robot\b", lambda match: match[0] + missing, content, count=1)
 
 
 def _compiler(robot: ElementTree.Element) -> ElementTree.Element:
@@ -102,25 +166,11 @@ def _mesh_path(
             raise WorkcellError(f"{urdf.name}: the mesh {name} is missing: there is no {path}")
         return path.resolve()
     package, _, member = name.removeprefix(PACKAGE).partition("/")
-    for folder in _package_folders(urdf, package, package_paths):
+    for folder in package_folders(urdf, package, package_paths):
         if (folder / member).is_file():
             return (folder / member).resolve()
     raise WorkcellError(
-        f"{urdf.name}: the mesh {name} is missing: no package {package!r} with {member} is in or "
-        f"above {urdf.resolve().parent}, in --package-path, {' or '.join(_VARIABLES)}; name the "
-        "folder that holds the package with --package-path"
+        f"{urdf.name}: the mesh {name} is missing: no package {package!r} with {member} is "
+        f"{where_packages_were_sought(urdf)}; name the folder that holds the package with "
+        "--package-path"
     )
-
-
-def _package_folders(urdf: Path, package: str, package_paths: Sequence[Path]):
-    """Folders that may be the package: those named, those around the URDF, those of ROS."""
-    parents = [urdf.resolve().parent, *urdf.resolve().parents]
-    user_folders = [Path(folder) for folder in package_paths]
-    ros_folders = [
-        Path(p) for v in _VARIABLES for p in os.environ.get(v, "").split(os.pathsep) if p
-    ]
-    for folder in [*user_folders, *parents, *ros_folders]:
-        if folder.name == package:
-            yield folder
-        yield folder / package
-        yield folder / "share" / package

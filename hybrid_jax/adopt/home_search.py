@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: MIT
+"""A home that keeps a distance from everything."""
+
+import copy
+
+import mujoco
+import numpy as np
+
+from hybrid_jax.workcell.allowed_collisions import forbidden_contacts, overlaps, pierced
+from hybrid_jax.workcell.layout import Layout, home_qpos
+
+CLEARANCES = 0.01, 0.003
+"""Distance that a home keeps from everything, and what suffices where none does [m]."""
+TRIES = 1000
+"""Configurations that are tried, further and further from where the model says."""
+INSET = 0.05
+"""Share of a joint's range that a home keeps from both ends."""
+
+
+def find_home(
+    model: mujoco.MjModel, layout: Layout, is_stated: bool
+) -> tuple[np.ndarray | None, str]:
+    """A free configuration near the home of a model.
+
+    Args:
+        model: with a keyframe `home`.
+        layout: of its arm.
+        is_stated: whether that home is what the robot's file says; else it is zero.
+
+    Returns:
+        The whole `qpos` `[nq]`, None where none is free, and a sentence; empty where the model's
+        own home is kept.
+    """
+    joints, address = list(layout.joints), list(layout.qpos)
+    limited = model.jnt_limited[joints].astype(bool)[:, None]
+    low, high = np.where(limited, model.jnt_range[joints], [-np.pi, np.pi]).T
+    stated, inset = home_qpos(model), INSET * (high - low)
+    first = stated[address]
+    if ((first < low) | (first > high)).any():
+        first = np.clip(first, low + inset, high - inset)
+    rng = np.random.default_rng(0)
+    tried = first + np.linspace(0, 1, TRIES)[:, None] * (
+        rng.uniform(low + inset, high - inset, (TRIES, len(first))) - first
+    )
+    # links that a spherical wrist keeps close together leave less room than is wanted
+    for clearance in CLEARANCES:
+        home = _first_free(model, layout, stated, tried, clearance)
+        if home is not None:
+            return home, _sentence(layout, stated, home, is_stated)
+    return None, f"no home is free: {TRIES} configurations touch something"
+
+
+def _first_free(
+    model: mujoco.MjModel, layout: Layout, stated: np.ndarray, tried: np.ndarray, clearance: float
+) -> np.ndarray | None:
+    """The first of some configurations `[n, joint]` that keeps a clearance [m], as `qpos`."""
+    roomy = copy.deepcopy(model)
+    roomy.geom_margin[:] = roomy.body_margin[:] = roomy.pair_margin[:] = clearance
+    data, forbidden = mujoco.MjData(roomy), forbidden_contacts(model, layout)
+    for q in tried:
+        data.qpos[:] = stated
+        data.qpos[list(layout.qpos)] = q
+        close = overlaps(roomy, data, forbidden, clearance) or pierced(roomy, data, forbidden)
+        if not close:
+            return data.qpos.copy()
+    return None
+
+
+def _sentence(layout: Layout, stated: np.ndarray, home: np.ndarray, is_stated: bool) -> str:
+    """What home is, where it is not what the model says."""
+    if np.array_equal(home, stated):
+        return ""
+    q = ", ".join(
+        f"{name} {home[a]:.2f}" for name, a in zip(layout.joint_names, layout.qpos, strict=True)
+    )
+    old = "the stated one" if is_stated else "zero"
+    return f"home is {q}: {old} touches something, or nearly, or is outside the limits"

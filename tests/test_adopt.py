@@ -1,0 +1,294 @@
+# SPDX-License-Identifier: MIT
+"""Adopting robots: what a vendor's file lacks is found, stated, and written beside it."""
+
+import json
+
+import jax
+import mujoco
+import numpy as np
+import pytest
+from arms import joint, link
+from test_convex_hulls import can
+
+from hybrid_jax import check
+from hybrid_jax.adopt import __main__ as command
+from hybrid_jax.adopt.adoption import AdoptionOptions, adopt
+from hybrid_jax.adopt.semantic_description import read_srdf
+from hybrid_jax.errors import UnknownNameError, WorkcellError
+from hybrid_jax.planner.point_to_point import plan_joint_motion
+from hybrid_jax.types import Status
+from hybrid_jax.workcell.diagnosis import WRONG, diagnose
+from hybrid_jax.workcell.load import load_workcell
+
+
+def write_stl(path, vertices):
+    """The hull of some vertices as a binary STL file."""
+    import trimesh
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    trimesh.convex.convex_hull(vertices).export(path)
+
+
+MESH = '<collision><geometry><mesh filename="{name}"/></geometry></collision>'
+
+
+def package(folder, name="arm_description"):
+    """A ROS package with an arm of three meshes; the file of its URDF."""
+    root = folder / "some_folder"
+    for mesh in ("base", "upper"):
+        write_stl(root / "meshes" / f"{mesh}.stl", can(24, 0.06, 0.25))
+    (root / "package.xml").write_text(f"<package><name>{name}</name></package>")
+    part = lambda mesh: MESH.format(name=f"package://{name}/meshes/{mesh}.stl")  # noqa: E731
+    text = (
+        '<robot name="arm">'
+        + link("base", part("base"))
+        + link("upper", part("upper"))
+        + link("lower", part("upper"))
+        + link("flange")
+        + link("tool0")
+        + joint("j1", "base", "upper", limit='lower="-2" upper="2"').replace(".3 0 0", "0 0 .252")
+        + joint("j2", "upper", "lower", limit='lower="0.4" upper="2"')
+        .replace(".3 0 0", "0 0 .3")
+        .replace('axis xyz="0 0 1"', 'axis xyz="0 1 0"')
+        + joint("j3", "lower", "flange", "continuous", "").replace(".3 0 0", "0 0 .3")
+        + joint("f", "flange", "tool0", "fixed", "").replace(".3 0 0", "0 0 .05")
+        + "</robot>"
+    )
+    path = root / "urdf" / "arm.urdf"
+    path.parent.mkdir()
+    path.write_text(text)
+    return path
+
+
+def test_a_urdf_of_a_package_becomes_a_cell(tmp_path):
+    adopted = adopt(package(tmp_path), tmp_path / "cell")
+    assert adopted.fit and adopted.path == tmp_path / "cell" / "cell.xml"
+    text = " | ".join(adopted.notes)
+    assert "the tool is the link 'tool0'" in text
+    # its base and first link stand on each other, and zero is outside the second joint's limits
+    assert "'base' and 'upper' may touch" in text and "home is j1" in text
+    assert "'j1' states no acceleration limit" in text and "'j1' states no velocity" not in text
+    cell = load_workcell(adopted.path)
+    assert cell.joint_names == ("j1", "j2", "j3")
+    np.testing.assert_allclose(cell.velocity_limits, 1.5)
+    low, high = np.asarray(cell.joint_limits).T
+    assert ((low <= cell.home) & (cell.home <= high)).all()
+    assert {p.name for p in (tmp_path / "cell" / "meshes").iterdir()} == {"base.stl", "upper.stl"}
+
+
+def test_an_adopted_arm_plans(tmp_path):
+    """Over a table to the other side; C MuJoCo, which shares no code with us, sees no contact."""
+    (tmp_path / "around.toml").write_text(
+        '[[fixtures]]\nname = "post"\nbox = [0.05, 0.05, 0.6]\nposition = [0.45, 0, 0.6]'
+    )
+    options = AdoptionOptions(fixtures=(tmp_path / "around.toml",))
+    cell = load_workcell(adopt(package(tmp_path), tmp_path / "cell", options).path)
+    start, goal = np.array([-0.9, 1.2, 0.0]), np.array([0.9, 1.2, 0.3])
+    planned = plan_joint_motion(cell, start, goal, key=jax.random.key(0))
+    assert planned.status == Status.OK, planned.detail
+    model, data = cell.model, mujoco.MjData(cell.model)
+    for trajectory in planned.phases:
+        for q in trajectory.positions:
+            data.qpos[:3] = q
+            mujoco.mj_forward(model, data)
+            assert not (data.contact.dist[: data.ncon] < 0).any()
+
+
+def test_the_cell_needs_nothing_of_where_it_came_from(tmp_path):
+    import shutil
+
+    source = package(tmp_path)
+    adopt(source, tmp_path / "cell")
+    shutil.rmtree(source.parent.parent)
+    shutil.move(tmp_path / "cell", tmp_path / "moved")
+    assert load_workcell(tmp_path / "moved" / "cell.xml").robot.shapes.counts[-1] > 0
+
+
+def test_a_xacro_is_expanded_with_its_arguments(tmp_path):
+    pytest.importorskip("xacrodoc")
+    urdf = package(tmp_path)
+    text = urdf.read_text().replace(
+        '<robot name="arm">',
+        '<robot name="arm" xmlns:xacro="http://ros.org/wiki/xacro">',
+    )
+    path = urdf.with_suffix(".urdf.xacro")
+    path.write_text(text.replace('velocity="1.5"', 'velocity="$(arg speed)"'))
+    adopted = adopt(path, tmp_path / "cell", AdoptionOptions(xacro_arguments={"speed": "0.7"}))
+    np.testing.assert_allclose(load_workcell(adopted.path).velocity_limits[:2], 0.7)
+    missing = adopt(path, tmp_path / "other")
+    assert missing.path is None and "--xacro-arg" in missing.findings[0].text
+    path.write_text(text.replace("<link", '<xacro:include filename="$(find nowhere)/a"/><link', 1))
+    lost = adopt(path, tmp_path / "third").findings[0].text
+    assert "'nowhere'" in lost and "--package-path" in lost
+
+
+def test_every_missing_mesh_is_named_at_once(tmp_path):
+    path = package(tmp_path)
+    for file in (path.parent.parent / "meshes").iterdir():
+        file.unlink()
+    text = " ".join(f.text for f in adopt(path, tmp_path / "cell").findings)
+    assert "base.stl" in text and "upper.stl" in text and not (tmp_path / "cell").exists()
+
+
+def test_a_text_stl_and_a_collada_file_are_read(tmp_path):
+    trimesh, _ = pytest.importorskip("trimesh"), pytest.importorskip("collada")
+    path = package(tmp_path)
+    meshes = path.parent.parent / "meshes"
+    mesh = trimesh.load(meshes / "base.stl")
+    (meshes / "base.stl").write_text(trimesh.exchange.stl.export_stl_ascii(mesh))
+    mesh.export(meshes / "upper.dae")
+    path.write_text(path.read_text().replace("upper.stl", "upper.dae"))
+    cell = load_workcell(adopt(path, tmp_path / "cell").path)
+    assert cell.robot.shapes.used == 2 and cell.fixtures.used == 1
+
+
+def test_a_srdf_names_pairs_and_the_tool(tmp_path):
+    srdf = tmp_path / "arm.srdf"
+    srdf.write_text(
+        '<robot name="arm"><group name="hand"><link name="x"/></group>'
+        '<group name="arm"><chain base_link="base" tip_link="flange"/></group>'
+        '<disable_collisions link1="base" link2="lower" reason="Never"/>'
+        '<disable_collisions link1="base" link2="nothing" reason="Never"/></robot>'
+    )
+    options = AdoptionOptions(group="arm", srdf=srdf)
+    adopted = adopt(package(tmp_path), tmp_path / "cell", options)
+    text = " | ".join(adopted.notes)
+    assert "the tool is the link 'flange'" in text and "'base' and 'lower' may touch" in text
+    assert "nothing" not in text
+    with pytest.raises(UnknownNameError, match="arm"):
+        read_srdf(srdf).tip("leg")
+
+
+def test_a_tool_that_is_not_told_is_asked_for(tmp_path):
+    path = package(tmp_path)
+    text = path.read_text().replace("tool0", "left_end")
+    path.write_text(
+        text.replace(
+            "</robot>",
+            link("right_end") + joint("g", "flange", "right_end", "fixed", "") + "</robot>",
+        )
+    )
+    adopted = adopt(path, tmp_path / "cell")
+    assert adopted.path is None
+    assert "left_end, right_end" in adopted.findings[0].text
+    assert "--tool" in adopted.findings[0].text
+    assert adopt(path, tmp_path / "cell", AdoptionOptions(tool="right_end")).fit
+
+
+AROUND = """
+[[fixtures]]
+name = "table"
+box = [0.3, 0.3, 0.02]
+position = [0.9, 0, 0.1]
+[[fixtures]]
+name = "stand"
+file = "stand.stl"
+scale = 0.001
+position = [-0.9, 0, 0]
+[[fixtures]]
+name = "rack"
+file = "rack.xml"
+position = [0, -1.2, 0]
+euler = [0, 0, 90]
+[[objects]]
+name = "can"
+cylinder = [0.03, 0.05]
+position = [0.9, 0.1, 0.171]
+mass = 0.4
+"""
+
+
+def test_fixtures_and_objects_stand_around_it(tmp_path):
+    write_stl(tmp_path / "stand.stl", 1000 * can(12, 0.1, 0.4))
+    (tmp_path / "around.toml").write_text(AROUND)
+    (tmp_path / "rack.xml").write_text(
+        '<mujoco><worldbody><body name="shelf" pos=".1 0 .5"><geom type="box" size=".2 .1 .01"/>'
+        "</body></worldbody></mujoco>"
+    )
+    options = AdoptionOptions(fixtures=(tmp_path / "around.toml",))
+    adopted = adopt(package(tmp_path), tmp_path / "cell", options)
+    cell = load_workcell(adopted.path)
+    np.testing.assert_allclose(cell.model.body("rack_shelf").pos, [0, -1.1, 0.5], atol=1e-6)
+    assert cell.fixtures.used == 4 and cell.source.layout.object_names == ("can",)
+    model = cell.model
+    assert model.body("can").mass[0] == pytest.approx(0.4)
+    assert np.ptp(model.mesh_vert[:, 2]) < 1  # the stand's millimetres are metres
+    place = np.asarray(cell.scene.objects.pose)[0, :3]
+    np.testing.assert_allclose(place, [0.9, 0.1, 0.171], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "line, words",
+    [
+        ("[[fixtures]]\nbox = [1, 1, 1]", "needs a name"),
+        ('[[fixtures]]\nname = "a"', "needs one of"),
+        ('[[fixtures]]\nname = "a"\nbox = [1, -1, 1]', "must be positive"),
+        ('[[fixtures]]\nname = "a"\nbox = [1, 1]', "3 numbers"),
+        ('[[fixtures]]\nname = "a"\nbox = [1, 1, 1]\npositon = [0, 0, 0]', "positon"),
+        ('[[fixtures]]\nname = "a"\nfile = "none.stl"', "none.stl"),
+        ('[[fixtures]]\nname = "a"\nbox = [1, 1, 1]\neuler = ["x", 0, 0]', "euler"),
+        ("[[walls]]\nname = 'a'", "walls"),
+        ("name =", "no TOML"),
+    ],
+)
+def test_a_wrong_fixture_is_named(tmp_path, line, words):
+    (tmp_path / "around.toml").write_text(line)
+    options = AdoptionOptions(fixtures=(tmp_path / "around.toml",))
+    adopted = adopt(package(tmp_path), tmp_path / "cell", options)
+    assert adopted.path is None and words in adopted.findings[0].text
+
+
+def test_a_mjcf_keeps_its_home_and_its_other_tool(tmp_path):
+    (tmp_path / "arm.xml").write_text(
+        '<mujoco><compiler angle="radian"/><worldbody><body name="a"><joint name="j" axis="0 0 1" '
+        'range="-2 2"/><geom type="capsule" fromto="0 0 0 .4 0 0" size=".03"/>'
+        '<site name="tool" pos=".4 0 0"/><site name="laser" pos=".2 0 .1" euler="0 1 0"/></body>'
+        '</worldbody><keyframe><key name="home" qpos="0.7"/></keyframe></mujoco>'
+    )
+    adopted = adopt(tmp_path / "arm.xml", tmp_path / "cell", AdoptionOptions(tool="laser"))
+    model = mujoco.MjModel.from_xml_path(str(adopted.path))
+    np.testing.assert_allclose(model.key("home").qpos, [0.7])
+    np.testing.assert_allclose(model.site("tool").pos, [0.2, 0, 0.1])
+    np.testing.assert_allclose(model.site("tool").quat, model.site("laser").quat)
+    assert any("tool_of_the_file" in note for note in adopted.notes)
+
+
+def test_a_robot_that_is_never_free_is_not_called_fit(tmp_path):
+    path = package(tmp_path)
+    (tmp_path / "around.toml").write_text('[[fixtures]]\nname = "wall"\nbox = [2, 2, 2]')
+    options = AdoptionOptions(fixtures=(tmp_path / "around.toml",))
+    adopted = adopt(path, tmp_path / "cell", options)
+    assert not adopted.fit and any("no home is free" in note for note in adopted.notes)
+    assert any(f.level == WRONG and "wall" in f.text for f in adopted.findings)
+
+
+def test_what_is_there_is_not_overwritten(tmp_path):
+    path = package(tmp_path)
+    adopt(path, tmp_path / "cell")
+    with pytest.raises(WorkcellError, match="holds a cell"):
+        adopt(path, tmp_path / "cell")
+
+
+def test_check_names_the_command_that_mends_a_model(tmp_path, capsys):
+    path = package(tmp_path)
+    assert check.main(str(path), quiet=True) == 1
+    assert f"python -m hybrid_jax.adopt {path} --out" in capsys.readouterr().out
+
+
+def test_a_mesh_in_millimetres_is_doubted(tmp_path):
+    path = package(tmp_path)
+    write_stl(path.parent.parent / "meshes" / "upper.stl", 1000 * can(24, 0.06, 0.25))
+    text = " | ".join(f.text for f in diagnose(path) if "millimetres" in f.text)
+    assert "upper" in text and "0.001" in text
+
+
+def test_the_command_prints_and_writes_what_it_did(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    out, urdf = tmp_path / "cell", str(package(tmp_path))
+    assert command.main(urdf, out, quiet=True, json=True, picture=False) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["fit"] and answer["cell"].endswith("cell.xml")
+    assert "the tool is the link" in (out / "report.md").read_text()
+    (tmp_path / "x.urdf").write_text("<robot")
+    assert command.main("x.urdf", tmp_path / "no", quiet=True, picture=False) == 1
+    assert "nothing was written" in capsys.readouterr().out
