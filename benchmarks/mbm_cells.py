@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""The Panda problems of MotionBenchMaker as work cells: one cell a problem, one trace a scene.
+"""Problems of MotionBenchMaker as work cells: one cell a problem, one trace a scene.
 
 The robot is the spheres of the data; boxes stay boxes, cylinders become prisms that contain them.
+The robots are the Panda, and Fetch: an arm of seven joints on a lift.
 """
 
 import json
@@ -13,8 +14,14 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from hybrid_jax.adopt.exclusions import exclude_pairs
+from hybrid_jax.adopt.joint_rates import state_rates
+from hybrid_jax.adopt.semantic_description import read_srdf
 from hybrid_jax.types import Workcell
 from hybrid_jax.workcell.compile import compile_workcell
+from hybrid_jax.workcell.layout import find_layout
+from hybrid_jax.workcell.load import compile_spec
+from hybrid_jax.workcell.urdf import read_urdf
 
 ACCELERATIONS = (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0)
 """Limits of the Panda's joints, by its maker's data sheet [rad/s^2]."""
@@ -37,8 +44,19 @@ def _quat(rpy) -> np.ndarray:
     return Rotation.from_euler("xyz", rpy).as_quat(scalar_first=True)
 
 
-def robot_spec(robot: dict) -> mujoco.MjSpec:
-    """The arm of the data: spheres on links, pairs that the data do not check left out."""
+def fetch_spec(folder: Path) -> mujoco.MjSpec:
+    """Fetch of the data: its spheres, the pairs of its SRDF left out, accelerations by its size."""
+    spec = read_urdf(folder / "fetch_spherized.urdf")
+    spec.body("gripper_link").add_site(name="tool")
+    exclude_pairs(spec, read_srdf(folder / "fetch.srdf").disabled)
+    model = compile_spec(spec)
+    state_rates(spec, model, find_layout(model, None))
+    return spec
+
+
+def panda_spec(folder: Path) -> mujoco.MjSpec:
+    """The Panda of the data: spheres on links, pairs that the data do not check left out."""
+    robot = json.loads((folder / "panda_robot.json").read_text())
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     spec.nuser_jnt = 2
@@ -87,34 +105,46 @@ def _add_obstacles(spec: mujoco.MjSpec, data: dict, i: int) -> None:
         )
 
 
+SPECS = {"panda": panda_spec, "fetch": fetch_spec}
+"""Robots of the data; the problems of each are in its `ROBOT_problems.npz`."""
+
+
+def file_of(folder: Path) -> tuple[str, Path] | None:
+    """Robot and file of the problems in a folder; None where it has none."""
+    files = [(robot, folder / f"{robot}_problems.npz") for robot in SPECS]
+    return next(((robot, file) for robot, file in files if file.is_file()), None)
+
+
 def read_problems(folder: Path, every: int = 1, first: int = 0) -> list[Problem]:
-    """The valid problems, or every n-th of each scene, from the number `first` on.
+    """The problems, or every n-th of each scene, from the number `first` on.
+
+    Problems that the data themselves call invalid are left out.
 
     Raises:
         FileNotFoundError: the folder lacks the data.
     """
-    robot = json.loads((folder / "panda_robot.json").read_text())
-    with np.load(folder / "panda_problems.npz") as file:
+    found = file_of(folder)
+    if found is None:
+        raise FileNotFoundError(f"{folder} has no problems of {' or '.join(SPECS)}")
+    robot, path = found
+    with np.load(path) as file:
         data = {name: file[name] for name in file.files}
-    chosen = [i for i in np.flatnonzero(data["exact_valid"]) if data["index"][i] % every == first]
-    found = []
-    for scene in dict.fromkeys(data["name"][chosen]):
-        here = [i for i in chosen if data["name"][i] == scene]
-        cells = [_compiled(robot, data, i) for i in here]
-        found += [
-            Problem(
-                str(scene),
-                int(data["index"][i]),
-                cell,
-                data["start"][i].astype(np.float32),
-                data["goals"][i, 0].astype(np.float32),
-            )
-            for i, cell in zip(here, cells, strict=True)
-        ]
-    return found
+    valid = data.get("exact_valid", np.ones(len(data["index"]), bool))
+    chosen = [i for i in np.flatnonzero(valid) if data["index"][i] % every == first]
+    return [
+        Problem(
+            scene=str(scene),
+            number=int(data["index"][i]),
+            cell=_compiled(SPECS[robot](folder), f"{robot}_{scene}", data, i),
+            start=data["start"][i].astype(np.float32),
+            goal=data["goals"][i, 0].astype(np.float32),
+        )
+        for scene in dict.fromkeys(data["name"][chosen])
+        for i in chosen
+        if data["name"][i] == scene
+    ]
 
 
-def _compiled(robot: dict, data: dict, i: int) -> Workcell:
-    spec = robot_spec(robot)
+def _compiled(spec: mujoco.MjSpec, name: str, data: dict, i: int) -> Workcell:
     _add_obstacles(spec, data, i)
-    return compile_workcell(spec.compile(), f"panda_{data['name'][i]}", None)
+    return compile_workcell(spec.compile(), name, None)

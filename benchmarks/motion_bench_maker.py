@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Joint starts to joint goals: the Panda's public problems of MotionBenchMaker, against OMPL.
+"""Joint starts to joint goals: public problems of MotionBenchMaker, against OMPL.
 
     python -m benchmarks.motion_bench_maker --json FILE
+    python -m benchmarks.motion_bench_maker --robot fetch --json FILE
 
 Both take turns on each problem, in the same process: our RRT-Connect with its proof, compiled, and
 OMPL's RRT-Connect with C MuJoCo as its checker. Every path of both is checked again by C MuJoCo,
@@ -12,21 +13,25 @@ import functools
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import jax
-import mujoco
 import numpy as np
 import tyro
 
 import hybrid_jax as hj
-from benchmarks.mbm_cells import Problem, read_problems
+from benchmarks.contact_check import ContactCheck
+from benchmarks.mbm_cells import Problem, file_of, read_problems
 from benchmarks.report import metric, write
 from hybrid_jax.baselines.ompl_paths import OmplPlanner
 from hybrid_jax.planner.point_to_point import JointMotionConfig, find_path, plan_joint_motion
 from hybrid_jax.planner.smoothing import densify
 from hybrid_jax.types import Status
 
-FOLDER = Path(__file__).resolve().parents[2] / "shared" / "data" / "mbm"
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+FOLDERS = {"panda": DATA / "mbm", "fetch": DATA / "mbm_fetch"}
+PREFIXES = {"panda": "mbm.", "fetch": "mbm.fetch_"}
+"""Of the figures' names."""
 SECONDS = 10.0
 """Time that OMPL may take for a problem."""
 FINE = 0.005
@@ -50,25 +55,11 @@ class Row:
         return self.found and not self.touches
 
 
-class ContactCheck:
-    """Is a configuration free, as C MuJoCo sees it?"""
-
-    def __init__(self, model: mujoco.MjModel):
-        self.model, self.data = model, mujoco.MjData(model)
-
-    def __call__(self, q: np.ndarray) -> bool:
-        self.data.qpos[:] = q
-        mujoco.mj_kinematics(self.model, self.data)
-        mujoco.mj_comPos(self.model, self.data)
-        mujoco.mj_collision(self.model, self.data)
-        return self.data.ncon == 0
-
-
 def judge(problem: Problem, path: np.ndarray | None, seconds: float) -> Row:
     """A row of a path `[point, joint]`, or of none."""
     if path is None:
         return Row(problem.scene, seconds, False, False, np.nan)
-    free = ContactCheck(problem.cell.model)
+    free = ContactCheck(problem.cell)
     touches = not all(map(free, densify(np.asarray(path, float), FINE)))
     length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
     return Row(problem.scene, seconds, True, touches, length)
@@ -85,7 +76,7 @@ def ompl(problem: Problem) -> Row:
     """The first path that OMPL finds."""
     planner = OmplPlanner(*np.asarray(problem.cell.joint_limits, float).T)
     ends = problem.start.astype(float), problem.goal.astype(float)
-    return judge(problem, *planner.solve(ContactCheck(problem.cell.model), *ends, SECONDS))
+    return judge(problem, *planner.solve(ContactCheck(problem.cell), *ends, SECONDS))
 
 
 def whole(problem: Problem, config: JointMotionConfig, key: jax.Array) -> tuple[bool, float]:
@@ -114,7 +105,19 @@ def compare(problems: list[Problem]) -> tuple[dict[str, list[Row]], list[tuple[b
     return table, trajectories
 
 
-def scene_rows(table: dict[str, list[Row]]) -> list[dict]:
+def free_ends(problems: list[Problem]) -> list[Problem]:
+    """The problems whose start and goal are free as C MuJoCo sees it; says how many are not."""
+    free = []
+    for problem in problems:
+        is_free = ContactCheck(problem.cell)
+        if is_free(problem.start) and is_free(problem.goal):
+            free.append(problem)
+    if len(free) < len(problems):
+        print(f"{len(problems) - len(free)} of {len(problems)} problems left out: an end touches")
+    return free
+
+
+def scene_rows(table: dict[str, list[Row]], prefix: str) -> list[dict]:
     """Median times of each scene."""
     found = []
     for scene in dict.fromkeys(r.scene for r in table["ours"]):
@@ -123,7 +126,7 @@ def scene_rows(table: dict[str, list[Row]]) -> list[dict]:
             times, solved = [r.seconds for r in here], sum(r.solved for r in here)
             found.append(
                 metric(
-                    f"mbm.{scene}_{name}",
+                    f"{prefix}{scene}_{name}",
                     float(np.median(times)),
                     "s",
                     "lower",
@@ -133,16 +136,18 @@ def scene_rows(table: dict[str, list[Row]]) -> list[dict]:
     return found
 
 
-def figures(table: dict[str, list[Row]], trajectories: list[tuple[bool, float]]) -> list[dict]:
+def figures(
+    table: dict[str, list[Row]], trajectories: list[tuple[bool, float]], prefix: str
+) -> list[dict]:
     """All figures: shares, times, lengths, and the ratios that count."""
-    found, medians = scene_rows(table), {}
+    found, medians = scene_rows(table, prefix), {}
     for name, rows in table.items():
         times = np.array([r.seconds for r in rows])
         medians[name] = float(np.median(times))
         touching = sum(r.touches for r in rows)
         found += [
             metric(
-                f"mbm.{name}_solved",
+                f"{prefix}{name}_solved",
                 float(np.mean([r.solved for r in rows])),
                 "1",
                 "higher",
@@ -150,7 +155,7 @@ def figures(table: dict[str, list[Row]], trajectories: list[tuple[bool, float]])
                 f"of them touch between the points that were checked",
             ),
             metric(
-                f"mbm.{name}_seconds",
+                f"{prefix}{name}_seconds",
                 medians[name],
                 "s",
                 "lower",
@@ -158,7 +163,7 @@ def figures(table: dict[str, list[Row]], trajectories: list[tuple[bool, float]])
                 f"worst {times.max():.3f}",
             ),
             metric(
-                f"mbm.{name}_length",
+                f"{prefix}{name}_length",
                 float(np.nanmedian([r.length for r in rows])),
                 "rad",
                 "lower",
@@ -170,28 +175,28 @@ def figures(table: dict[str, list[Row]], trajectories: list[tuple[bool, float]])
     seconds = [t for _, t in trajectories]
     return found + [
         metric(
-            "mbm.trajectories",
+            f"{prefix}trajectories",
             float(np.mean([ok for ok, _ in trajectories])),
             "1",
             "higher",
             "smooth, timed, checked; share of the problems",
         ),
         metric(
-            "mbm.trajectory_seconds",
+            f"{prefix}trajectory_seconds",
             float(np.median(seconds)),
             "s",
             "lower",
             f"median of the whole layer; p95 {np.quantile(seconds, 0.95):.3f}",
         ),
         metric(
-            "mbm.solved",
+            f"{prefix}solved",
             float(np.mean([r.solved for r in table["ours"]])),
             "1",
             "higher",
             f"of {len(table['ours'])} problems",
         ),
         metric(
-            "mbm.time_vs_ompl",
+            f"{prefix}time_vs_ompl",
             medians["ours"] / medians["ompl"],
             "1",
             "lower",
@@ -202,25 +207,32 @@ def figures(table: dict[str, list[Row]], trajectories: list[tuple[bool, float]])
 
 
 def main(
-    json: Path | None = None, folder: Path = FOLDER, every: int = 1, tiny: bool = False
+    json: Path | None = None,
+    robot: Literal["panda", "fetch"] = "panda",
+    folder: Path | None = None,
+    every: int = 1,
+    tiny: bool = False,
 ) -> None:
     """Print all figures.
 
     Args:
         json: file to write them to.
-        folder: with the problems.
+        robot: whose problems are planned.
+        folder: with the problems; where they usually are if None.
         every: take each n-th problem of a scene only.
         tiny: as little of everything as shows that it runs.
     """
-    every = 50 if tiny else every
+    every, folder = 50 if tiny else every, folder or FOLDERS[robot]
     hj.use_all_cores()
-    if not (folder / "panda_problems.npz").exists():
+    found = file_of(folder)
+    if found is None or found[0] != robot:
         print(
-            f"{folder} has no panda_problems.npz: nothing to run. The problems are not part of "
+            f"{folder} has no {robot}_problems.npz: nothing to run. The problems are not part of "
             "the project; give their folder by --folder."
         )
         return
-    write(figures(*compare(read_problems(folder, every))), json)
+    problems = free_ends(read_problems(folder, every))
+    write(figures(*compare(problems), PREFIXES[robot]), json)
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ def main(
     out: Path,
     tool: str = "",
     group: str = "",
+    gripper: str = "",
     srdf: Path | None = None,
     package_path: tuple[Path, ...] = (),
     xacro_arg: tuple[str, ...] = (),
@@ -29,7 +30,8 @@ def main(
         robot: URDF, xacro or MJCF file, as the vendor publishes it.
         out: folder to write to; its name is the cell's.
         tool: site or link that is the tool, where the file does not tell.
-        group: group of the SRDF whose last link is the tool.
+        group: group of the SRDF that is the arm; all other joints are held.
+        gripper: shipped gripper (robotiq_2f85), or a model, to mount on the tool's frame.
         srdf: file that names the links which may touch.
         package_path: folders that hold ROS packages.
         xacro_arg: arguments of a xacro file, each as NAME=VALUE.
@@ -47,6 +49,7 @@ def main(
     options = AdoptionOptions(
         tool=tool,
         group=group,
+        gripper=gripper,
         srdf=srdf,
         package_paths=package_path,
         xacro_arguments={name: value for name, _, value in pairs},

@@ -4,17 +4,22 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
 from hybrid_jax.adopt.cell_folder import absolute_assets, write_cell
 from hybrid_jax.adopt.exclusions import exclude_pairs, exclude_touching
+from hybrid_jax.adopt.gripper import Gripper, attach_gripper, find_gripper
+from hybrid_jax.adopt.handling_data import carried_objects, handling_data
 from hybrid_jax.adopt.home_search import find_home
 from hybrid_jax.adopt.joint_rates import state_rates
 from hybrid_jax.adopt.overview import add_overview
+from hybrid_jax.adopt.planning_group import group_tip, hold_other_joints
 from hybrid_jax.adopt.semantic_description import SemanticDescription, read_srdf
-from hybrid_jax.adopt.surroundings import add_surroundings
+from hybrid_jax.adopt.servos import add_servos
+from hybrid_jax.adopt.surroundings import add_surroundings, read_surroundings
 from hybrid_jax.errors import HybridJaxError, WorkcellError
 from hybrid_jax.runtime.quiet import engine_messages
 from hybrid_jax.workcell.assets import find_workcell
@@ -33,7 +38,9 @@ class AdoptionOptions:
     tool: str = ""
     """Site or link that is the tool; found if empty."""
     group: str = ""
-    """Group of the SRDF whose last link is the tool."""
+    """Group of the SRDF that is the arm; its last link is the tool if none is named."""
+    gripper: str = ""
+    """Shipped gripper, or model of one, to mount on the tool's frame."""
     srdf: Path | None = None
     """File that names the pairs of links which may touch, and the groups."""
     package_paths: tuple[Path, ...] = ()
@@ -61,6 +68,14 @@ class Adopted:
         return self.path is not None and all(f.level != WRONG for f in self.findings)
 
 
+class _Draft(NamedTuple):
+    """A cell that is not written yet."""
+
+    spec: mujoco.MjSpec
+    task_data: str
+    """As TOML; empty where there is nothing to do."""
+
+
 def adopt(robot: str | Path, folder: Path, options: AdoptionOptions | None = None) -> Adopted:
     """Write a cell folder of a robot: MJCF, meshes, report.
 
@@ -80,8 +95,10 @@ def adopt(robot: str | Path, folder: Path, options: AdoptionOptions | None = Non
         raise WorkcellError(f"{folder} holds a cell: name another folder with --out")
     try:
         with engine_messages(source.name):
-            spec, notes = _complete(source, options)
-            path = write_cell(spec, folder, folder.name)
+            draft, notes = _complete(source, options)
+            path = write_cell(draft.spec, folder, folder.name)
+            if draft.task_data:
+                path.with_suffix(".toml").write_text(draft.task_data)
     except (HybridJaxError, ValueError) as error:
         others = diagnose(source, tool=options.tool, package_paths=options.package_paths)
         first = Finding(WRONG, str(error))
@@ -91,29 +108,63 @@ def adopt(robot: str | Path, folder: Path, options: AdoptionOptions | None = Non
     return Adopted(path, tuple(notes), tuple(diagnose(path)))
 
 
-def _complete(source: Path, options: AdoptionOptions) -> tuple[mujoco.MjSpec, list[str]]:
-    """The spec with all that it lacks, and a sentence for each addition."""
+def _complete(source: Path, options: AdoptionOptions) -> tuple[_Draft, list[str]]:
+    """The spec with all that it lacks and its task data, and a sentence for each addition."""
     described = read_srdf(options.srdf) if options.srdf else SemanticDescription()
-    tool = options.tool or (described.tip(options.group) if options.group else "")
     spec = as_spec(source, options.package_paths, options.xacro_arguments)
     absolute_assets(spec)
     spec.compiler.discardvisual = False  # a URDF's sky would vanish
-    notes = _set_tool(spec, tool)
     model = compile_spec(spec)
-    robot_home = home_qpos(model)
+    had_home, home = bool(model.nkey), _by_joint(model, home_qpos(model))
+    for key in list(spec.keys):  # their numbers are those of the robot alone
+        spec.delete(key)
+    notes, gripper = _arm(spec, described, options, home)
+    task_data, carried = "", []
     for file in options.fixtures:
-        notes += add_surroundings(spec, file)
-    had_home = bool(model.nkey)
-    if had_home:  # its numbers are those of the robot alone
-        for key in list(spec.keys):
-            spec.delete(key)
+        content = read_surroundings(file)
+        notes += add_surroundings(spec, content, file)
+        carried += carried_objects(content)
+        task_data += handling_data(content, gripper, file.name)
     model = compile_spec(spec)
     layout = find_layout(model, None)
     notes += state_rates(spec, model, layout)
+    notes += add_servos(spec, model, layout)
     notes += exclude_pairs(spec, described.disabled)
     model = compile_spec(spec)
     notes += exclude_touching(spec, model, layout)
-    return spec, notes + _state_home(spec, robot_home, had_home)
+    return _Draft(spec, task_data), notes + _state_home(spec, home, had_home, carried)
+
+
+def _arm(
+    spec: mujoco.MjSpec, described: SemanticDescription, options: AdoptionOptions, home: dict
+) -> tuple[list[str], Gripper | None]:
+    """Settle which joints the arm has, its tool and its gripper; sentences, and the gripper.
+
+    `home` are values of the joints by name, which is changed as the joints are.
+    """
+    notes, tool = [], options.tool
+    if options.group:
+        group = described.group(options.group)
+        tip = group_tip(spec, group, options.group)
+        notes, tool = hold_other_joints(spec, group, tip, home), tool or tip
+    notes += _set_tool(spec, tool)
+    if not options.gripper:
+        return notes, None
+    file = find_gripper(options.gripper)
+    gripper = attach_gripper(spec, file)
+    home |= {joint: np.array([gripper.open]) for joint in gripper.joints}
+    return [*notes, f"the gripper {file.stem!r} is mounted on it, along its z axis"], gripper
+
+
+def _by_joint(model: mujoco.MjModel, qpos: np.ndarray) -> dict[str, np.ndarray]:
+    """Values of joints by their names; hinges and slides within their limits."""
+    values = {}
+    for j in range(model.njnt):
+        joint = model.joint(j)
+        first = int(model.jnt_qposadr[j])
+        value = qpos[first : first + len(joint.qpos0)]
+        values[joint.name] = np.clip(value, *joint.range) if model.jnt_limited[j] else value
+    return {name: value for name, value in values.items() if name}
 
 
 def _set_tool(spec: mujoco.MjSpec, tool: str) -> list[str]:
@@ -138,15 +189,19 @@ def _set_tool(spec: mujoco.MjSpec, tool: str) -> list[str]:
     return [*notes, f"the tool is the site {chosen.name!r}"]
 
 
-def _state_home(spec: mujoco.MjSpec, robot_home: np.ndarray, had_home: bool) -> list[str]:
+def _state_home(
+    spec: mujoco.MjSpec, robot_home: dict[str, np.ndarray], had_home: bool, carried: list[str]
+) -> list[str]:
     """Add a keyframe `home` that is free, and a camera; a sentence where home is a new one."""
     model = compile_spec(spec)
-    # what was added after the robot comes behind it in `qpos`
-    stated = model.qpos0.copy()
-    stated[: len(robot_home)] = robot_home
+    data = mujoco.MjData(model)
+    for name, value in robot_home.items():
+        data.joint(name).qpos[:] = value
+    stated = data.qpos.copy()
     spec.add_key(name="home", qpos=stated)
     model = compile_spec(spec)
-    home, note = find_home(model, find_layout(model, None), had_home)
+    objects = [model.body(name).id for name in carried]
+    home, note = find_home(model, find_layout(model, None), had_home, objects)
     if home is not None:
         spec.key("home").qpos = home
     add_overview(spec, model, stated if home is None else home)

@@ -6,11 +6,14 @@ import copy
 import mujoco
 import numpy as np
 
+from hybrid_jax.adopt.ready_pose import configurations_at, ready_pose
 from hybrid_jax.workcell.allowed_collisions import forbidden_contacts, overlaps, pierced
 from hybrid_jax.workcell.layout import Layout, home_qpos
 
 CLEARANCES = 0.01, 0.003
 """Distance that a home keeps from everything, and what suffices where none does [m]."""
+WANTED = 0.1, 0.03
+"""What a home over objects keeps where it can: an elbow that is up does [m]."""
 TRIES = 1000
 """Configurations that are tried, further and further from where the model says."""
 INSET = 0.05
@@ -18,14 +21,15 @@ INSET = 0.05
 
 
 def find_home(
-    model: mujoco.MjModel, layout: Layout, is_stated: bool
+    model: mujoco.MjModel, layout: Layout, is_stated: bool, objects: list[int]
 ) -> tuple[np.ndarray | None, str]:
-    """A free configuration near the home of a model.
+    """A free configuration over the objects, or else near the home of a model.
 
     Args:
         model: with a keyframe `home`.
         layout: of its arm.
         is_stated: whether that home is what the robot's file says; else it is zero.
+        objects: bodies that the arm is to carry.
 
     Returns:
         The whole `qpos` `[nq]`, None where none is free, and a sentence; empty where the model's
@@ -35,6 +39,10 @@ def find_home(
     limited = model.jnt_limited[joints].astype(bool)[:, None]
     low, high = np.where(limited, model.jnt_range[joints], [-np.pi, np.pi]).T
     stated, inset = home_qpos(model), INSET * (high - low)
+    if objects:
+        home = _ready_home(model, layout, stated, objects)
+        if home is not None:
+            return home, _sentence(layout, home, "the tool points down over the objects")
     first = stated[address]
     if ((first < low) | (first > high)).any():
         first = np.clip(first, low + inset, high - inset)
@@ -46,7 +54,11 @@ def find_home(
     for clearance in CLEARANCES:
         home = _first_free(model, layout, stated, tried, clearance)
         if home is not None:
-            return home, _sentence(layout, stated, home, is_stated)
+            if np.array_equal(home, stated):
+                return home, ""
+            old = "the stated one" if is_stated else "zero"
+            reason = f"{old} touches something, or nearly, or is outside the limits"
+            return home, _sentence(layout, home, reason)
     return None, f"no home is free: {TRIES} configurations touch something"
 
 
@@ -66,12 +78,25 @@ def _first_free(
     return None
 
 
-def _sentence(layout: Layout, stated: np.ndarray, home: np.ndarray, is_stated: bool) -> str:
-    """What home is, where it is not what the model says."""
-    if np.array_equal(home, stated):
-        return ""
+def _ready_home(
+    model: mujoco.MjModel, layout: Layout, stated: np.ndarray, objects: list[int]
+) -> np.ndarray | None:
+    """A free configuration whose tool waits over the objects, as `qpos`; None where none is."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = stated
+    mujoco.mj_kinematics(model, data)
+    pose = ready_pose(data.xanchor[layout.joints[0]], data.xpos[objects])
+    found = configurations_at(model, layout, pose, stated)
+    for clearance in (*WANTED, CLEARANCES[0]):
+        home = _first_free(model, layout, stated, found, clearance)
+        if home is not None:
+            return home
+    return None
+
+
+def _sentence(layout: Layout, home: np.ndarray, reason: str) -> str:
+    """What home is, and why."""
     q = ", ".join(
         f"{name} {home[a]:.2f}" for name, a in zip(layout.joint_names, layout.qpos, strict=True)
     )
-    old = "the stated one" if is_stated else "zero"
-    return f"home is {q}: {old} touches something, or nearly, or is outside the limits"
+    return f"home is {q}: {reason}"

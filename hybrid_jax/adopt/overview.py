@@ -32,7 +32,8 @@ def add_overview(spec: mujoco.MjSpec, model: mujoco.MjModel, qpos: np.ndarray) -
             width=64,
             height=64,
         )
-        spec.visual.headlight.ambient = [0.4, 0.4, 0.4]
+        spec.visual.headlight.ambient = [0.45, 0.45, 0.45]
+        spec.visual.headlight.diffuse = [0.6, 0.6, 0.6]
     if CAMERA in {camera.name for camera in spec.cameras}:
         return
     low, high = _bounds(model, qpos)

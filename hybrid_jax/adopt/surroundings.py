@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What stands around a robot: fixtures and objects from a TOML file, added to a spec."""
+"""What stands around a robot: fixtures, trays and objects of a TOML file, added to a spec."""
 
 import tomllib
 from pathlib import Path
@@ -16,6 +16,18 @@ from hybrid_jax.workcell.mesh_files import readable_mesh
 
 FIELDS = {"name", "box", "cylinder", "sphere", "file", "position", "euler", "scale", "mass"}
 """What a fixture or object may say; `euler` in degrees, `box` half extents, lengths in metres."""
+TRAY_FIELDS = {"name", "half_size", "height", "position", "euler"}
+"""What a tray may say: half of its inner length and width, and the height of its rim."""
+HANDLED = {"kind", "tray", "slot", "grasp", "grip", "jitter"}
+"""What an object that is to be carried says as well: as in a cell's task data."""
+TABLES = {"table", "fixtures", "trays", "objects"}
+COLOURS = {
+    "fixtures": (0.72, 0.72, 0.7, 1.0),
+    "trays": (0.42, 0.55, 0.68, 1.0),
+    "objects": (0.86, 0.45, 0.2, 1.0),
+}
+FLOOR, RIM = 0.008, 0.006
+"""Thickness of a tray's floor and of its rim [m]."""
 SHAPES = {
     "box": (mujoco.mjtGeom.mjGEOM_BOX, 3, "three half extents"),
     "cylinder": (mujoco.mjtGeom.mjGEOM_CYLINDER, 2, "radius and half length"),
@@ -24,12 +36,31 @@ SHAPES = {
 _MODELS = ".xml", ".urdf", ".xacro"
 
 
-def add_surroundings(spec: mujoco.MjSpec, path: Path) -> list[str]:
-    """Add what a TOML file lists under `fixtures` and `objects`.
+def read_surroundings(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file of what stands around a robot.
+
+    Raises:
+        WorkcellError: it is no TOML file, or has a table that nothing knows.
+    """
+    try:
+        content = tomllib.loads(path.read_text())
+    except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise WorkcellError(f"{path.name} is no TOML file: {error}") from None
+    if unknown := set(content) - TABLES:
+        raise WorkcellError(
+            f"{path.name}: unknown tables {', '.join(sorted(unknown))}; there are [[fixtures]], "
+            "[[trays]], [[objects]], and table = NAME"
+        )
+    return content
+
+
+def add_surroundings(spec: mujoco.MjSpec, content: dict[str, Any], path: Path) -> list[str]:
+    """Add fixtures, trays and objects.
 
     Args:
         spec: of the robot, to be added to.
-        path: of the TOML file; files in it are beside it.
+        content: from `read_surroundings`.
+        path: of that file; files in it are beside it.
 
     Returns:
         A sentence for each.
@@ -37,36 +68,72 @@ def add_surroundings(spec: mujoco.MjSpec, path: Path) -> list[str]:
     Raises:
         WorkcellError: a field that is missing, unknown or wrong; the message names it.
     """
-    try:
-        content = tomllib.loads(path.read_text())
-    except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise WorkcellError(f"{path.name} is no TOML file: {error}") from None
-    if unknown := set(content) - {"fixtures", "objects"}:
-        raise WorkcellError(
-            f"{path.name}: unknown tables {', '.join(sorted(unknown))}; there are [[fixtures]] "
-            "and [[objects]]"
-        )
     notes = []
-    for kind in ("fixtures", "objects"):
+    for kind in ("fixtures", "trays", "objects"):
         for number, entry in enumerate(content.get(kind, [])):
             label = f"{path.name}: {kind} {number}"
-            _add(spec, entry, path.parent, label, movable=kind == "objects")
+            if kind == "trays":
+                _add_tray(spec, entry, label)
+            else:
+                _add(spec, entry, path.parent, label, movable=kind == "objects")
+            body = spec.body(entry["name"])
+            for geom in body.geoms if body else ():
+                geom.rgba = COLOURS[kind]
             notes.append(f"{kind.removesuffix('s')} {entry['name']!r} added")
     return notes
 
 
-def _add(spec, entry: dict[str, Any], folder: Path, label: str, movable: bool) -> None:
-    """Add one fixture or object."""
-    if unknown := set(entry) - FIELDS:
-        raise WorkcellError(f"{label}: unknown fields {', '.join(sorted(unknown))}")
+def _require_name(entry: dict[str, Any], known: set[str], label: str) -> str:
+    """The label of an entry with its name; its fields must be known.
+
+    Raises:
+        WorkcellError: it has no name, or an unknown field.
+    """
+    if not isinstance(entry, dict):
+        raise WorkcellError(f"{label} must be a table")
+    if unknown := set(entry) - known:
+        raise WorkcellError(
+            f"{label}: unknown fields {', '.join(sorted(unknown))}; there are "
+            f"{', '.join(sorted(known))}"
+        )
     if not isinstance(entry.get("name"), str) or not entry["name"]:
         raise WorkcellError(f"{label}: it needs a name")
+    return f"{label} ({entry['name']!r})"
+
+
+def _pose(entry: dict[str, Any], label: str) -> tuple[np.ndarray, np.ndarray]:
+    """Position `[3]` [m] and quaternion `[4]` of an entry."""
+    euler = _numbers(entry, "euler", 3, label, (0, 0, 0))
+    rotation = Rotation.from_euler("xyz", euler, degrees=True)
+    return _numbers(entry, "position", 3, label, (0, 0, 0)), rotation.as_quat(scalar_first=True)
+
+
+def _add_tray(spec, entry: dict[str, Any], label: str) -> None:
+    """Add a tray: a floor and four walls, its origin in the middle of its underside."""
+    label = _require_name(entry, TRAY_FIELDS, label)
+    length, width = _numbers(entry, "half_size", 2, label, ())
+    (height,) = _numbers(entry, "height", 1, label, (0.05,))
+    if min(length, width, height - FLOOR) <= 0:
+        raise WorkcellError(
+            f"{label}: half_size must be positive, and height more than {FLOOR:g}, the floor's"
+        )
+    position, quat = _pose(entry, label)
+    body = spec.worldbody.add_body(name=entry["name"], pos=position, quat=quat)
+    wall, middle = RIM / 2, height / 2
+    parts = [([0, 0, FLOOR / 2], [length, width, FLOOR / 2])]
+    for side in (1, -1):
+        parts.append(([side * (length + wall), 0, middle], [wall, width + RIM, middle]))
+        parts.append(([0, side * (width + wall), middle], [length, wall, middle]))
+    for place, size in parts:
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, pos=place, size=size)
+
+
+def _add(spec, entry: dict[str, Any], folder: Path, label: str, movable: bool) -> None:
+    """Add one fixture or object."""
+    label = _require_name(entry, FIELDS | (HANDLED if movable else set()), label)
     if sum(key in entry for key in (*SHAPES, "file")) != 1:
         raise WorkcellError(f"{label}: it needs one of {', '.join((*SHAPES, 'file'))}")
-    label = f"{label} ({entry['name']!r})"
-    position = _numbers(entry, "position", 3, label, (0, 0, 0))
-    euler = _numbers(entry, "euler", 3, label, (0, 0, 0))
-    quat = Rotation.from_euler("xyz", euler, degrees=True).as_quat(scalar_first=True)
+    position, quat = _pose(entry, label)
     file = folder / str(entry.get("file", ""))
     if "file" in entry and file.suffix.lower() in _MODELS and not movable:
         _attach(spec, file, entry["name"], position, quat, label)
