@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Small arms as URDF and MJCF text, for tests of loading and checking."""
 
+import re
+from pathlib import Path
+
+from hybrid_jax.workcell.assets import robots_folder
 from hybrid_jax.workcell.diagnosis import WRONG, diagnose
 from hybrid_jax.workcell.load import load_workcell
 
@@ -36,3 +40,13 @@ def findings(tmp_path, text, level=WRONG):
 
 
 WALL = '<geom name="wall" type="box" size=".02 .2 .2" pos="0 .3 0"/>'
+
+
+def bare_arm(path: Path) -> Path:
+    """Write the shipped Kinova without its gripper and its servos."""
+    text = (robots_folder() / "kinova_gen3_2f85" / "kinova_gen3_2f85.xml").read_text()
+    lines = [line for line in text.splitlines() if "gripper_base" not in line or "attach" in line]
+    text = re.sub("<actuator>.*</actuator>", "", "\n".join(lines), flags=re.DOTALL)
+    text = re.sub("<attach .*?/>", '<site name="attachment_site"/>', text)
+    path.write_text(re.sub("<asset>.*</asset>", "", text, flags=re.DOTALL))
+    return path

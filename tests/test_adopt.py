@@ -2,12 +2,13 @@
 """Adopting robots: what a vendor's file lacks is found, stated, and written beside it."""
 
 import json
+from dataclasses import replace
 
 import jax
 import mujoco
 import numpy as np
 import pytest
-from arms import joint, link
+from arms import bare_arm, joint, link
 from test_convex_hulls import can
 
 from hybrid_jax import check
@@ -15,8 +16,16 @@ from hybrid_jax.adopt import __main__ as command
 from hybrid_jax.adopt.adoption import AdoptionOptions, adopt
 from hybrid_jax.adopt.semantic_description import read_srdf
 from hybrid_jax.errors import UnknownNameError, WorkcellError
+from hybrid_jax.execution.single_tasks import execute
+from hybrid_jax.kernels.kinematics import tool_pose
+from hybrid_jax.planner.bridging import rrt_bridger
+from hybrid_jax.planner.pipeline import plan_motion
 from hybrid_jax.planner.point_to_point import plan_joint_motion
+from hybrid_jax.planner.rrt_connect import RrtConfig
+from hybrid_jax.runs.load_planner import untrained_planner
+from hybrid_jax.tasks.registry import random_task
 from hybrid_jax.types import Status
+from hybrid_jax.workcell.assets import robots_folder
 from hybrid_jax.workcell.diagnosis import WRONG, diagnose
 from hybrid_jax.workcell.load import load_workcell
 
@@ -145,7 +154,9 @@ def test_a_text_stl_and_a_collada_file_are_read(tmp_path):
 def test_a_srdf_names_pairs_and_the_tool(tmp_path):
     srdf = tmp_path / "arm.srdf"
     srdf.write_text(
-        '<robot name="arm"><group name="hand"><link name="x"/></group>'
+        '<robot name="arm"><group name="hand"><joint name="x"/></group>'
+        '<group name="whole"><group name="arm"/></group>'
+        '<group name="two"><link name="tool0"/><link name="other"/></group>'
         '<group name="arm"><chain base_link="base" tip_link="flange"/></group>'
         '<disable_collisions link1="base" link2="lower" reason="Never"/>'
         '<disable_collisions link1="base" link2="nothing" reason="Never"/></robot>'
@@ -156,7 +167,46 @@ def test_a_srdf_names_pairs_and_the_tool(tmp_path):
     assert "the tool is the link 'flange'" in text and "'base' and 'lower' may touch" in text
     assert "nothing" not in text
     with pytest.raises(UnknownNameError, match="arm"):
-        read_srdf(srdf).tip("leg")
+        read_srdf(srdf).group("leg")
+    assert read_srdf(srdf).group("whole").chains == (("base", "flange"),)
+    empty = adopt(package(tmp_path / "b"), tmp_path / "c", replace(options, group="hand"))
+    assert empty.path is None and "no joint or link" in empty.findings[0].text
+    lost = adopt(package(tmp_path / "d"), tmp_path / "e", replace(options, group="two"))
+    assert "'other'" in lost.findings[0].text
+
+
+def test_joints_that_are_not_of_the_group_are_held(tmp_path):
+    """The arm alone, on a column that stays where it is; forward kinematics by C MuJoCo."""
+    srdf = tmp_path / "arm.srdf"
+    srdf.write_text(
+        '<robot name="arm"><group name="arm"><joint name="j3"/><joint name="j2"/></group></robot>'
+    )
+    path = package(tmp_path)
+    options = AdoptionOptions(group="arm", srdf=srdf, tool="tool0")
+    adopted = adopt(path, tmp_path / "cell", options)
+    cell = load_workcell(adopted.path)
+    assert cell.joint_names == ("j2", "j3")
+    assert any("'j1' is held at 0" in note for note in adopted.notes)
+    whole = load_workcell(adopt(path, tmp_path / "whole").path)
+    q = np.array([0.8, 0.3], np.float32)
+    here, there = tool_pose(cell, q), tool_pose(whole, np.r_[np.float32(0), q])
+    np.testing.assert_allclose(here, there, atol=1e-5)
+
+
+def test_a_group_of_two_arms_is_no_arm(tmp_path):
+    srdf = tmp_path / "arm.srdf"
+    srdf.write_text(
+        '<robot name="arm"><group name="both"><link name="tool0"/><link name="side"/></group>'
+        "</robot>"
+    )
+    path = package(tmp_path)
+    path.write_text(
+        path.read_text().replace(
+            "</robot>", link("side") + joint("s", "lower", "side", "fixed", "") + "</robot>"
+        )
+    )
+    text = adopt(path, tmp_path / "cell", AdoptionOptions(group="both", srdf=srdf)).findings[0].text
+    assert "tool0" in text and "side" in text and "no single arm" in text
 
 
 def test_a_tool_that_is_not_told_is_asked_for(tmp_path):
@@ -236,6 +286,78 @@ def test_a_wrong_fixture_is_named(tmp_path, line, words):
     options = AdoptionOptions(fixtures=(tmp_path / "around.toml",))
     adopted = adopt(package(tmp_path), tmp_path / "cell", options)
     assert adopted.path is None and words in adopted.findings[0].text
+
+
+PICK = """
+table = "table"
+[[fixtures]]
+name = "table"
+box = [0.4, 0.8, 0.03]
+position = [0.52, 0.0, 0.07]
+[[trays]]
+name = "tray"
+half_size = [0.12, 0.13]
+position = [0.26, -0.53, 0.1]
+[[objects]]
+name = "part"
+kind = "block"
+box = [0.02, 0.03, 0.02]
+position = [0.49, -0.1, 0.12]
+mass = 0.15
+tray = "tray"
+slot = [0.0, 0.05, 0.0]
+"""
+
+
+def test_an_adopted_arm_carries_what_stands_around_it(tmp_path):
+    """From a bare arm and one file to a plan that C MuJoCo carries out: the part is in its tray."""
+    (tmp_path / "around.toml").write_text(PICK)
+    options = AdoptionOptions(gripper="robotiq_2f85", fixtures=(tmp_path / "around.toml",))
+    adopted = adopt(bare_arm(tmp_path / "gen3.xml"), tmp_path / "cell", options)
+    assert adopted.fit, adopted.findings
+    text = " | ".join(adopted.notes)
+    assert "tool points down over the objects" in text and "position servos" in text
+    cell = load_workcell(adopted.path)
+    assert cell.source.task.gripper.joints == ("gripper_slide_l", "gripper_slide_r")
+    planner = untrained_planner(cell, 0.1)
+    planner = replace(planner, bridge=rrt_bridger(cell, RrtConfig()))
+    task = random_task(cell, 0)
+    planned = plan_motion(planner, task, key=jax.random.key(0))
+    assert planned.status == Status.OK, planned.detail
+    result = execute(cell, task, planned)
+    assert result.success, result
+
+
+@pytest.mark.parametrize(
+    "old, new, gripper, words",
+    [
+        ("", "", "", "--gripper"),
+        ("", "", "hand", "robotiq_2f85"),
+        ('table = "table"', "", "robotiq_2f85", "table = NAME"),
+        ('tray = "tray"', 'tray = "box"', "robotiq_2f85", "'box'"),
+        ('kind = "block"', "", "robotiq_2f85", "it needs kind"),
+        ("[0.02, 0.03, 0.02]", "[0.05, 0.03, 0.02]", "robotiq_2f85", "100 mm wide"),
+        ("half_size = [0.12, 0.13]", "half_size = [0.12, 0.0]", "robotiq_2f85", "half_size"),
+        ("slot = [0.0, 0.05, 0.0]", "slot = [0.0, 0.05]", "robotiq_2f85", "slot"),
+        ("mass = 0.15", "weight = 0.15", "robotiq_2f85", "weight"),
+    ],
+)
+def test_what_a_pick_lacks_is_named(tmp_path, old, new, gripper, words):
+    (tmp_path / "around.toml").write_text(PICK.replace(old, new) if old else PICK)
+    options = AdoptionOptions(gripper=gripper, fixtures=(tmp_path / "around.toml",))
+    adopted = adopt(bare_arm(tmp_path / "gen3.xml"), tmp_path / "cell", options)
+    assert not adopted.fit and words in " ".join(f.text for f in adopted.findings)
+
+
+def test_a_gripper_of_ones_own_needs_its_numbers(tmp_path):
+    (tmp_path / "jaw.xml").write_text("<mujoco/>")
+    options = AdoptionOptions(gripper=str(tmp_path / "jaw.xml"))
+    adopted = adopt(package(tmp_path), tmp_path / "cell", options)
+    assert "jaw.toml is missing" in adopted.findings[0].text
+    text = (robots_folder() / "robotiq_2f85" / "robotiq_2f85.toml").read_text()
+    (tmp_path / "jaw.toml").write_text(text)
+    adopted = adopt(package(tmp_path / "b"), tmp_path / "c", options)
+    assert "body of the gripper 'gripper_base'" in adopted.findings[0].text
 
 
 def test_a_mjcf_keeps_its_home_and_its_other_tool(tmp_path):

@@ -22,6 +22,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tyro
+from arms import bare_arm
 
 from hybrid_jax import check, demos, plan, train
 from hybrid_jax.adopt import __main__ as adopt_command
@@ -73,8 +74,11 @@ def workspace(smoke_run, tmp_path_factory):
     poses = np.zeros((60, 7))
     poses[:, 0], poses[:, 3] = np.linspace(0, 20, 60), 1.0
     np.savez(folder / "log.npz", poses=poses)
-    for name in ("my_cell", "my_arm"):
-        (folder / f"{name}.xml").write_text(CELL)
+    (folder / "my_cell.xml").write_text(CELL)
+    bare_arm(folder / "my_arm.xml")
+    page = ROOT / "docs" / "own_arm.md"
+    around = next(text for kind, text in blocks(page) if kind == "toml")
+    (folder / "around.toml").write_text(around)
     before = Path.cwd()
     os.chdir(folder)
     yield folder
@@ -109,8 +113,8 @@ def variant(arguments: list[str]) -> list[str]:
 
 
 def lacks_run(arguments: list[str]) -> bool:
-    """Does a command need the run of the second cell, which this test does not train?"""
-    return "runs/fpi-001" in arguments or "runs/my_cell-001" in arguments
+    """Does a command need the run of another cell, which this test does not train?"""
+    return bool({f"runs/{name}-001" for name in ("fpi", "my_cell", "picking")} & set(arguments))
 
 
 SHELL = lines_of("sh")

@@ -19,7 +19,7 @@ from hybrid_jax.adopt.overview import add_overview
 from hybrid_jax.adopt.planning_group import group_tip, hold_other_joints
 from hybrid_jax.adopt.semantic_description import SemanticDescription, read_srdf
 from hybrid_jax.adopt.servos import add_servos
-from hybrid_jax.adopt.surroundings import add_surroundings, read_surroundings
+from hybrid_jax.adopt.surroundings import add_surroundings, merged, read_surroundings
 from hybrid_jax.errors import HybridJaxError, WorkcellError
 from hybrid_jax.runtime.quiet import engine_messages
 from hybrid_jax.workcell.assets import find_workcell
@@ -119,12 +119,11 @@ def _complete(source: Path, options: AdoptionOptions) -> tuple[_Draft, list[str]
     for key in list(spec.keys):  # their numbers are those of the robot alone
         spec.delete(key)
     notes, gripper = _arm(spec, described, options, home)
-    task_data, carried = "", []
-    for file in options.fixtures:
-        content = read_surroundings(file)
+    contents = [read_surroundings(file) for file in options.fixtures]
+    for content, file in zip(contents, options.fixtures, strict=True):
         notes += add_surroundings(spec, content, file)
-        carried += carried_objects(content)
-        task_data += handling_data(content, gripper, file.name)
+    content, label = merged(contents), ", ".join(file.name for file in options.fixtures)
+    task_data, carried = handling_data(content, gripper, label), carried_objects(content)
     model = compile_spec(spec)
     layout = find_layout(model, None)
     notes += state_rates(spec, model, layout)
@@ -157,14 +156,11 @@ def _arm(
 
 
 def _by_joint(model: mujoco.MjModel, qpos: np.ndarray) -> dict[str, np.ndarray]:
-    """Values of joints by their names; hinges and slides within their limits."""
-    values = {}
-    for j in range(model.njnt):
-        joint = model.joint(j)
-        first = int(model.jnt_qposadr[j])
-        value = qpos[first : first + len(joint.qpos0)]
-        values[joint.name] = np.clip(value, *joint.range) if model.jnt_limited[j] else value
-    return {name: value for name, value in values.items() if name}
+    """Values of joints by their names."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    joints = [data.joint(j) for j in range(model.njnt)]
+    return {joint.name: joint.qpos.copy() for joint in joints if joint.name}
 
 
 def _set_tool(spec: mujoco.MjSpec, tool: str) -> list[str]:

@@ -89,12 +89,12 @@ def _object(entry: dict[str, Any], gripper: Gripper, file: str) -> dict[str, Any
     """
     label = f"{file}: object {entry['name']!r}"
     missing = [key for key in ("kind", "slot") if key not in entry]
-    box = entry.get("box")
-    if box is None:
+    box = entry.get("box", [])
+    if not box:
         missing += [key for key in ("grasp", "grip") if key not in entry]
     if missing:
         raise WorkcellError(f"{label} is to be carried: it needs {', '.join(missing)}")
-    grip = entry.get("grip", box and box[0])
+    grip = entry.get("grip", box[0] if box else None)
     if not isinstance(grip, int | float):
         raise WorkcellError(f"{label}: grip must be half its width between the fingers [m]")
     if grip >= gripper.open:

@@ -57,13 +57,18 @@ def hold_other_joints(
     data = mujoco.MjData(model)
     for name, value in home.items():
         data.joint(name).qpos[:] = value
+    values = {joint.id: data.joint(joint.id).qpos for joint in held}
+    for index, value in values.items():
+        if model.jnt_limited[index]:
+            value[:] = np.clip(value, *model.jnt_range[index])
     mujoco.mj_kinematics(model, data)
     notes = []
     for body in dict.fromkeys(joint.parent for joint in held):
         _place(body, data)
     for joint in held:
-        value = np.round(home.pop(joint.name, np.zeros(0)), 3)
-        notes.append(f"joint {joint.name!r} is held at {value}: it is not of the group")
+        numbers = ", ".join(f"{number:.3g}" for number in values[joint.id])
+        notes.append(f"joint {joint.name!r} is held at {numbers}: it is not of the group")
+        home.pop(joint.name, None)
         _delete(spec, joint)
     return notes
 

@@ -54,6 +54,22 @@ def read_surroundings(path: Path) -> dict[str, Any]:
     return content
 
 
+def merged(contents: list[dict[str, Any]]) -> dict[str, Any]:
+    """The tables of several files as if they stood in one.
+
+    Raises:
+        WorkcellError: they name different tables to work on.
+    """
+    lists = {
+        kind: [entry for content in contents for entry in content.get(kind, [])]
+        for kind in ("fixtures", "trays", "objects")
+    }
+    tables = sorted({str(content["table"]) for content in contents if "table" in content})
+    if len(tables) > 1:
+        raise WorkcellError(f"there can be one table, not {', '.join(tables)}")
+    return lists | ({"table": tables[0]} if tables else {})
+
+
 def add_surroundings(spec: mujoco.MjSpec, content: dict[str, Any], path: Path) -> list[str]:
     """Add fixtures, trays and objects.
 

@@ -5,6 +5,7 @@ import functools
 from dataclasses import dataclass, field
 from typing import Annotated, ClassVar
 
+import mujoco
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
@@ -74,7 +75,7 @@ class Handling:
     """Site that is the tool."""
     gripper: GripperSpec
     table: str
-    """Body whose surface the objects lie on."""
+    """Body whose top the objects lie on."""
     lift: Annotated[float, Within(0.0, LENGTH)]
     """Height by which an object is lifted before it is carried [m]."""
     hover: Annotated[float, Within(0.0, LENGTH)]
@@ -157,10 +158,25 @@ def place_pose(source: WorkcellSource, spec: ObjectSpec, grasp: int = 0) -> Rigi
     tray = task.tray(spec.tray)
     body = source.model.body(tray.name)
     address = layout.object_qpos[layout.object_names.index(spec.name)]
-    # the object's origin is to be as high above the tray's floor as it is above z = 0 at home
-    height = tray.floor + task.release + home_qpos(source.model)[address + 2]
+    # the object's origin is to be as high above the tray's floor as it is above the table at home
+    over_table = home_qpos(source.model)[address + 2] - _top(source.model, task.table)
+    height = tray.floor + task.release + over_table
     slot = upright([*spec.slot[:2], height], spec.slot[2])
     return pose_of(body.pos, body.quat) * slot * _grasp_frame(spec, grasp)
+
+
+def _top(model: mujoco.MjModel, name: str) -> float:
+    """Height of the highest point of a body's geoms [m]; that of its origin without geoms."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    body = model.body(name)
+    geoms = range(int(body.geomadr[0]), int(body.geomadr[0] + body.geomnum[0]))
+    tops = [data.xpos[body.id, 2]] if not geoms else []
+    for geom in geoms:
+        centre, half = np.split(model.geom_aabb[geom], 2)
+        upward = data.geom_xmat[geom].reshape(3, 3)[2]
+        tops.append(data.geom_xpos[geom, 2] + upward @ centre + np.abs(upward) @ half)
+    return float(max(tops))
 
 
 def _raised(pose: RigidTransform, height: float) -> RigidTransform:
