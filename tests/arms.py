@@ -43,10 +43,20 @@ WALL = '<geom name="wall" type="box" size=".02 .2 .2" pos="0 .3 0"/>'
 
 
 def bare_arm(path: Path) -> Path:
-    """Write the shipped Kinova without its gripper and its servos."""
+    """Write the shipped Kinova without its gripper and its servos, to be made a cell of."""
     text = (robots_folder() / "kinova_gen3_2f85" / "kinova_gen3_2f85.xml").read_text()
     lines = [line for line in text.splitlines() if "gripper_base" not in line or "attach" in line]
     text = re.sub("<actuator>.*</actuator>", "", "\n".join(lines), flags=re.DOTALL)
     text = re.sub("<attach .*?/>", '<site name="attachment_site"/>', text)
     path.write_text(re.sub("<asset>.*</asset>", "", text, flags=re.DOTALL))
+    return path
+
+
+def small_cell(path: Path) -> Path:
+    """Write a cell of that arm, a floor and a wall: seven joints, and quickly compiled."""
+    around = (
+        '<geom name="floor" type="box" size="1 1 .05" pos="0 0 -.06"/>'
+        '<geom name="wall" type="box" size=".05 .3 .3" pos=".55 .1 .3"/></worldbody>'
+    )
+    path.write_text(bare_arm(path).read_text().replace("</worldbody>", around))
     return path

@@ -82,6 +82,14 @@ def cell():
 
 
 @pytest.fixture(scope="session")
+def small_cell(tmp_path_factory):
+    """An arm of seven joints without a gripper, a floor and a wall: what compiles quickly."""
+    import arms
+
+    return load_workcell(arms.small_cell(tmp_path_factory.mktemp("cell") / "small.xml"))
+
+
+@pytest.fixture(scope="session")
 def planner(cell):
     """The handling cell's planner with exact stand-ins: RRT-Connect in the joint agent's place."""
     from hybrid_jax.planner.bridging import rrt_bridger

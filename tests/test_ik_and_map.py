@@ -148,7 +148,7 @@ def test_a_map_that_cannot_fit_is_refused_with_its_size(cell):
         building.build_feasibility_map(cell, MapConfig(spacing=0.001, orientations=5000))
 
 
-def test_several_devices_build_the_same_map():
+def test_several_devices_build_the_same_map(small_cell):
     """A process with two CPU devices labels as one with one device does."""
     import subprocess
     import sys
@@ -162,12 +162,13 @@ enable_compile_cache()
 import numpy as np, hybrid_jax
 from hybrid_jax.feasibility.grid import MapConfig
 config = MapConfig(lower=(.3, -.2, .1), upper=(.6, .2, .4), spacing=.3, orientations=8, batch=128)
-cell = hybrid_jax.load_workcell("gen3_handling")
+cell = hybrid_jax.load_workcell(sys.argv[2])
 fmap = hybrid_jax.build_feasibility_map(cell, config)
 print(len(jax.devices()), "".join(map(str, np.asarray(fmap.reason).ravel())))
 """
+    command = [sys.executable, "-c", code]
     runs = [
-        subprocess.run([sys.executable, "-c", code, str(n)], capture_output=True, text=True)
+        subprocess.run([*command, str(n), small_cell.source.path], capture_output=True, text=True)
         for n in (1, 2)
     ]
     assert all(r.returncode == 0 for r in runs), [r.stderr[-500:] for r in runs]

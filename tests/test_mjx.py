@@ -36,7 +36,7 @@ def test_collision_backends_agree(cell, configurations):
     assert 5 < (ours < 0).sum() < 45
 
 
-def test_maps_of_both_backends_agree(cell):
+def test_maps_of_both_backends_agree(small_cell):
     config = MapConfig(
         lower=(0.3, -0.2, 0.0),
         upper=(0.6, 0.2, 0.3),
@@ -47,13 +47,13 @@ def test_maps_of_both_backends_agree(cell):
         restarts=0,
         batch=32,
     )
-    maps = [build_feasibility_map(cell, replace(config, backend=name)) for name in BACKENDS]
+    maps = [build_feasibility_map(small_cell, replace(config, backend=name)) for name in BACKENDS]
     feasible, engine = (np.asarray(m.reason) < Reason.NEAR_SINGULAR for m in maps)
     np.testing.assert_array_equal(feasible, engine)
     assert feasible.any()
     assert (np.asarray(maps[0].reason) == Reason.CELL_COLLISION).any()
     with pytest.raises(UnknownNameError, match="fused"):
-        build_feasibility_map(cell, replace(config, backend="bullet"))
+        build_feasibility_map(small_cell, replace(config, backend="bullet"))
 
 
 def test_a_batch_of_physics_agrees_with_the_engine(cell):

@@ -184,10 +184,10 @@ def test_where_turning_back_would_leave_the_limits_the_arm_unwinds_once(planner)
 
 
 DOUBLE = """
-import jax, numpy as np, jax.numpy as jnp
+import sys, jax, numpy as np, jax.numpy as jnp
 import hybrid_jax as hj
 assert jax.config.jax_enable_x64 and jnp.zeros(1).dtype == jnp.float64
-cell = hj.load_workcell("fpi")
+cell = hj.load_workcell(sys.argv[1])
 q = jnp.asarray(cell.home, jnp.float64) + 0.1
 batch = jax.jit(jax.vmap(lambda q: hj.clearance(cell, q)))(jnp.tile(q, (3, 1)))
 assert batch.shape == (3,) and jnp.allclose(batch, hj.clearance(cell, np.asarray(q, float)))
@@ -200,9 +200,9 @@ print(result.status.name)
 """
 
 
-def test_double_precision_elsewhere_does_not_matter_here():
+def test_double_precision_elsewhere_does_not_matter_here(small_cell):
     done = subprocess.run(
-        [sys.executable, "-c", DOUBLE],
+        [sys.executable, "-c", DOUBLE, small_cell.source.path],
         capture_output=True,
         text=True,
         env={**os.environ, "JAX_ENABLE_X64": "1"},
