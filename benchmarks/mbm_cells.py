@@ -25,6 +25,8 @@ from hybrid_jax.workcell.urdf import read_urdf
 
 ACCELERATIONS = (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0)
 """Limits of the Panda's joints, by its maker's data sheet [rad/s^2]."""
+ROUNDING = 1e-4
+"""How far an end may be outside a limit [rad or m]."""
 BOX, CYLINDER = 1, 2
 """Types of obstacles in the data."""
 
@@ -132,19 +134,22 @@ def read_problems(folder: Path, every: int = 1, first: int = 0) -> list[Problem]
     valid = data.get("exact_valid", np.ones(len(data["index"]), bool))
     chosen = [i for i in np.flatnonzero(valid) if data["index"][i] % every == first]
     return [
-        Problem(
-            scene=str(scene),
-            number=int(data["index"][i]),
-            cell=_compiled(SPECS[robot](folder), f"{robot}_{scene}", data, i),
-            start=data["start"][i].astype(np.float32),
-            goal=data["goals"][i, 0].astype(np.float32),
-        )
+        _problem(SPECS[robot](folder), f"{robot}_{scene}", data, i)
         for scene in dict.fromkeys(data["name"][chosen])
         for i in chosen
         if data["name"][i] == scene
     ]
 
 
-def _compiled(spec: mujoco.MjSpec, name: str, data: dict, i: int) -> Workcell:
+def _problem(spec: mujoco.MjSpec, name: str, data: dict, i: int) -> Problem:
+    """One problem; its ends are put on the limits where the data round them beyond."""
     _add_obstacles(spec, data, i)
-    return compile_workcell(spec.compile(), name, None)
+    cell = compile_workcell(spec.compile(), name, None)
+    low, high = np.asarray(cell.joint_limits).T
+    ends = [np.asarray(data[key][i], np.float32).reshape(-1) for key in ("start", "goals")]
+    for q in ends:
+        rounded = np.clip(q, low, high)
+        if np.abs(rounded - q).max() > ROUNDING:
+            raise ValueError(f"{name} {data['index'][i]}: an end is outside the limits")
+        q[:] = rounded
+    return Problem(str(data["name"][i]), int(data["index"][i]), cell, *ends)
