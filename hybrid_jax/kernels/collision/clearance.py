@@ -25,6 +25,7 @@ from hybrid_jax.kernels.batching import (
 from hybrid_jax.kernels.collision import all_pairs, narrow_phase
 from hybrid_jax.kernels.collision.broad_phase import groups_of, row_bounds
 from hybrid_jax.kernels.collision.distance import FAR
+from hybrid_jax.kernels.collision.hull_pairs import CONFIGURATIONS, nearest_pairs
 from hybrid_jax.kernels.collision.nearest_pair import Nearest, no_pair
 from hybrid_jax.kernels.collision.pair_distance import pair_distance
 from hybrid_jax.kernels.collision.rounded_boxes import (
@@ -42,8 +43,6 @@ _MEASURED = (5, 6)
 makes fewer configurations uncertain, and costs more for all."""
 _MEASURED_NEAR = (5, 5)
 """Rows and pairs where only what is near counts: bounds make most configurations certain."""
-_MEASURED_HULLS = (16, 2)
-"""Rows and pairs of a cell with hulls: they are few, and a pair costs much more."""
 _TABLE = 64
 """Configurations in a pass that leaves none uncertain: it measures every pair, or refines."""
 _REDO = 8
@@ -108,9 +107,24 @@ def _closest(cell: Workcell, q: Array, *, against: str) -> Nearest:
     table_size = by_backend(_TABLE, _ACCELERATOR_TABLE)
     if q.shape[0] <= table_size:
         return measure_all(cell, q)
-    promising = _MEASURED_HULLS if has_polytopes(cell) else _MEASURED
-    nearest = in_chunks(functools.partial(_kernel, against=against, measured=promising), cell, q)
+    if has_polytopes(cell):
+        return _closest_hulls(cell, q, jnp.full(1, FAR), against=against)
+    nearest = in_chunks(functools.partial(_kernel, against=against, measured=_MEASURED), cell, q)
     return redo(measure_all, (cell, q), nearest, ~nearest.certain, table_size)
+
+
+def _closest_hulls(cell: Workcell, q: Array, enough: Array, *, against: str) -> Nearest:
+    """Nearest pairs `[b]` of a cell with hulls, exact where they are nearer than `enough`."""
+    measure = functools.partial(nearest_pairs, against=against)
+    nearest = in_chunks(measure, cell, q, enough, cpu_chunk=CONFIGURATIONS)
+
+    def measure_rest(cell, q, enough, known):
+        limit = jnp.minimum(known.distance, enough)
+        return known.merge(_refined(cell, q, limit, jnp.ones(1, bool), against=against))
+
+    pending = nearest.rest < jnp.minimum(nearest.distance, enough)
+    table_size = by_backend(_TABLE, _ACCELERATOR_TABLE)
+    return redo(measure_rest, (cell, q, enough, nearest), nearest, pending, table_size)
 
 
 def _near(cell: Workcell, q: Array, enough: Array) -> Array:
@@ -119,13 +133,14 @@ def _near(cell: Workcell, q: Array, enough: Array) -> Array:
     is_shared = cell.scene.objects.pose.shape[0] == 1
     if q.shape[0] <= by_backend(_TABLE, _ACCELERATOR_TABLE) or by_backend(not is_shared, False):
         return in_chunks(_near_refined, cell, q, enough, jnp.ones(1, bool), cpu_chunk=_TABLE)
-    promising = _MEASURED_HULLS if has_polytopes(cell) else _MEASURED_NEAR
-    measure_promising = functools.partial(_kernel, against="all", measured=promising)
+    if has_polytopes(cell):
+        return jnp.minimum(_closest_hulls(cell, q, enough, against="all").distance, enough)
+    measure_promising = functools.partial(_kernel, against="all", measured=_MEASURED_NEAR)
     measure_all = functools.partial(_kernel, against="all", measured=None)
     nearest = in_chunks(measure_promising, cell, q)
     # an unmeasured pair matters only where it may be nearer than what was measured and `enough`
     pending = nearest.rest < jnp.minimum(nearest.distance, enough)
-    redo_size = by_backend(_TABLE if has_polytopes(cell) else _REDO, _ACCELERATOR_TABLE)
+    redo_size = by_backend(_REDO, _ACCELERATOR_TABLE)
     return jnp.minimum(redo(measure_all, (cell, q), nearest, pending, redo_size).distance, enough)
 
 

@@ -17,16 +17,21 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from hybrid_jax.kernels.collision.simplex import (
+    candidates,
+    closest,
+    computed_once,
+    pick,
+    shares,
+)
 from hybrid_jax.kernels.collision.support_map import farthest_vertex
-from hybrid_jax.kernels.vec3 import Vector, add, cross, dot, scale, sub, turn, turn_back
+from hybrid_jax.kernels.vec3 import Vector, add, dot, scale, sub, turn, turn_back
 from hybrid_jax.types import ConvexHulls
 
 TOLERANCE = 2e-5
 """Gap of both bounds at which a search ends [m]; rounding may end one a little earlier."""
 STEPS = 24
 """Most steps."""
-_FLAT = 1e-9
-"""Share of the square of an area or a volume, of what its edges could span, that is rounding."""
 
 
 class Pair(NamedTuple):
@@ -88,53 +93,6 @@ def _support(hulls: ConvexHulls, hull: Array, scales: Vector, direction: Vector)
     return tuple(c * s for c, s in zip(vertex, scales, strict=True))
 
 
-def _pick(points: Vector, number: Array) -> Vector:
-    """One of three points, components `[3, ...]`, by its number."""
-    return tuple(jnp.where(number == 0, c[0], jnp.where(number == 1, c[1], c[2])) for c in points)
-
-
-def _closest(
-    new: Vector, old: Vector, overlap: Array, may_overlap: Array, is_first: Array
-) -> tuple:
-    """What of three old points, components `[3, ...]`, and a new one is nearest to the origin.
-
-    Only edges and faces with the new point can be nearer than before. It stands alone where it
-    `is_first`: old points that equal it but for rounding would make a face of any direction.
-
-    Returns:
-        `nearest`, `second`, `third` and `overlap` of `_State`.
-    """
-    following = [jnp.roll(component, -1, axis=0) for component in old]
-    edge, next_edge = sub(old, new), sub(following, new)
-    length = dot(edge, edge)
-    share = jnp.clip(-dot(new, edge) / jnp.where(length > 0, length, 1.0), 0.0, 1.0)
-    foot = add(new, scale(edge, jnp.where(is_first, 0.0, share)))
-    normal = cross(edge, next_edge)
-    area = dot(normal, normal)
-    sides = [cross(new, old), cross(old, following), cross(following, new)]
-    has_area = ~is_first & (area > _FLAT * length * dot(next_edge, next_edge))
-    on_plane = scale(normal, dot(normal, new) / jnp.where(has_area, area, 1.0))
-    is_face = has_area
-    for side in sides:
-        is_face &= dot(side, normal) >= 0
-    # four points enclose the origin where it sees all four faces from the same side
-    parts, base = -dot(sides[1], new), dot([c[0] for c in sides[1]], [c[2] for c in old])
-    volume = base + jnp.sum(parts, axis=0)
-    encloses = jnp.all(parts * volume >= 0, axis=0) & (base * volume >= 0)
-    encloses &= jnp.square(volume) > _FLAT * jnp.prod(length, axis=0)
-    # of bodies that are proven to be apart four points enclose nothing: it is rounding
-    overlap = overlap | (encloses & may_overlap & ~is_first)
-    # from within, on through the nearest of the three faces that have the new point
-    points = [jnp.where(is_face | overlap, a, b) for a, b in zip(on_plane, foot, strict=True)]
-    squared = jnp.where(overlap & ~has_area, jnp.inf, dot(points, points))
-    second = jnp.argmin(squared, axis=0).astype(jnp.int32)
-    is_triangle = _pick([is_face | overlap], second)[0]
-    third = jnp.where(is_triangle, (second + 1) % 3, second)
-    nearest = _pick(points, second)
-    sign = jnp.where(overlap, -1.0, 1.0)
-    return scale(nearest, sign), second, third, overlap
-
-
 def convex_distance(hulls: ConvexHulls, a, b, enough: Array | float = jnp.inf) -> Array:
     """Signed distance `[...]` of two convex bodies [m], see the module.
 
@@ -147,30 +105,49 @@ def convex_distance(hulls: ConvexHulls, a, b, enough: Array | float = jnp.inf) -
     return _search(hulls, pair, enough).bound - pair.radius
 
 
-class Progress(NamedTuple):
-    """What some steps have shown of a pair. All `[...]`."""
-
-    bound: Array
-    """Lower bound of the signed distance [m]."""
-    reach: Array
-    """Upper bound of it [m]."""
-    direction: Vector
-    """Where to go on: from the second body to the first one, in the frame of the second [m]."""
-    done: Array
-    """Is the bound the distance, or enough?"""
+RECORD = 16
+"""Numbers that a search is kept as between its steps."""
 
 
 def some_steps(
-    hulls: ConvexHulls, pair: Pair, direction: Vector, enough: Array, steps: Array
-) -> Progress:
-    """Search for the distance for at most `steps` `[]` steps, from a direction; see `Pair`."""
-    state = _search(hulls, pair, enough, direction, steps)
-    reach = jnp.where(state.overlap, 0.0, jnp.sqrt(dot(state.nearest, state.nearest)))
-    # a search that was started again does not leave a direction in which bodies overlap
-    back = jnp.where(state.overlap, -1.0, 1.0)
-    return Progress(
-        state.bound - pair.radius, reach - pair.radius, scale(state.nearest, back), state.done
+    hulls: ConvexHulls, pair: Pair, record: Array, enough: Array, steps: Array
+) -> tuple[Array, Array, Array]:
+    """Go on with searches for at most `steps` `[]` steps.
+
+    Args:
+        hulls: tables of the hulls.
+        pair: the bodies, `[lane]`.
+        record: `[lane, RECORD]` where the searches stand; zeros where one begins.
+        enough: `[1 or lane]` signed distance at which a search may end [m].
+        steps: of each.
+
+    Returns:
+        Records after these steps, lower bounds `[lane]` of the signed distances [m], and whether
+        they are the distances, or enough.
+    """
+    parts = [record[:, i] for i in range(RECORD)]
+    step, zero = parts[13].astype(jnp.int32), jnp.zeros(record.shape[0], jnp.int32)
+    corners = [parts[3 * k : 3 * k + 3] for k in range(3)]
+    nearest = [jnp.where(step == 0, a, b) for a, b in zip(pair.offset, parts[9:12], strict=True)]
+    state = _State(
+        step=step,
+        # the corners of the triangle, so that the first step takes the last two along
+        old=tuple(jnp.stack([corner[i] for corner in corners]) for i in range(3)),
+        new=tuple(corners[0]),
+        second=zero + 1,
+        third=zero + 2,
+        nearest=tuple(nearest),
+        bound=jnp.where(step == 0, -jnp.inf, parts[12]),
+        overlap=parts[14] > 0.5,
+        done=parts[15] > 0.5,
+        old_here=(),
+        new_here=(),
     )
+    state = _search(hulls, pair, enough, state, steps)
+    corners = [state.new, pick(state.old, state.second), pick(state.old, state.third)]
+    flags = [a.astype(jnp.float32) for a in (state.step, state.overlap, state.done)]
+    parts = [*(c for p in corners for c in p), *state.nearest, state.bound, *flags]
+    return jnp.stack(parts, axis=-1), state.bound - pair.radius, state.done
 
 
 def nearest_points(hulls: ConvexHulls, a, b) -> tuple[Vector, Vector, Vector]:
@@ -183,34 +160,22 @@ def nearest_points(hulls: ConvexHulls, a, b) -> tuple[Vector, Vector, Vector]:
     pair = pair_of(a, b)
     state = _search(hulls, pair, with_witness=True)
     places = state.second, state.third
-    corners = [state.new, *(_pick(state.old, place) for place in places)]
-    here = [state.new_here, *(_pick(state.old_here, place) for place in places)]
+    corners = [state.new, *(pick(state.old, place) for place in places)]
+    here = [state.new_here, *(pick(state.old_here, place) for place in places)]
     target = scale(state.nearest, jnp.where(state.overlap, -1.0, 1.0))
-    shares = _shares(corners, target)
-    on_a = tuple(sum(w * p[i] for w, p in zip(shares, here, strict=True)) for i in range(3))
+    weights = shares(corners, target)
+    on_a = tuple(sum(w * p[i] for w, p in zip(weights, here, strict=True)) for i in range(3))
     on_b = sub(add(on_a, pair.offset), target)
     norm = jnp.maximum(jnp.sqrt(dot(state.nearest, state.nearest)), 1e-9)
     direction = turn(b.rotation, scale(state.nearest, 1.0 / norm))
     return direction, turn_back(pair.rotation, on_a), on_b
 
 
-def _shares(corners: list[Vector], point: Vector) -> list[Array]:
-    """Shares of the corners of a triangle, which may be an edge, that a point in it consists of."""
-    first, second, offset = (sub(p, corners[0]) for p in (*corners[1:], point))
-    # corners that coincide share what they get: a little on the diagonal decides it
-    little = 1e-6 * (dot(first, first) + dot(second, second)) + 1e-12
-    aa, bb = dot(first, first) + little, dot(second, second) + little
-    ab, ap, bp = dot(first, second), dot(first, offset), dot(second, offset)
-    area = aa * bb - ab * ab
-    u, v = (ap * bb - bp * ab) / area, (bp * aa - ap * ab) / area
-    return [1.0 - u - v, u, v]
-
-
 def _search(
     hulls: ConvexHulls,
     pair: Pair,
     enough: Array | float = jnp.inf,
-    direction: Vector | None = None,
+    state: _State | None = None,
     steps: Array | int = STEPS,
     *,
     with_witness: bool = False,
@@ -221,18 +186,23 @@ def _search(
         hulls: tables of the hulls that they are.
         pair: the bodies, `[...]`.
         enough: signed distance at which a search may end [m].
-        direction: the first one to look along, else that of the centres [m].
-        steps: most steps.
+        state: where to go on, else the search begins.
+        steps: most steps from there.
         with_witness: keep the points of the first body?
     """
     shape = jnp.broadcast_shapes(*(jnp.shape(c) for c in (*pair.offset, *pair.hull)))
     limit = enough + pair.radius
 
-    def going(state):
-        return (jnp.max(jnp.where(state.done, 0, state.step)) < steps) & ~jnp.all(state.done)
+    def going(counted):
+        state, count = counted
+        return (count < steps) & ~jnp.all(state.done)
 
-    def advance(state):
-        after = _advance(hulls, pair, limit, state, with_witness)
+    def advance(counted):
+        state, count = counted
+        return step(state, count >= 0), count + 1
+
+    def step(state, always):
+        after = _advance(hulls, pair, limit, state, always, with_witness)
         if not with_witness:
             return after
         # the last step only proves what the one before it found
@@ -240,10 +210,16 @@ def _search(
         kept = jax.tree.map(lambda a, b: jnp.where(keep, a, b), state, after)
         return kept._replace(step=after.step, bound=after.bound, done=after.done)
 
+    if state is None:
+        state = _beginning(pair, shape, with_witness)
+    return jax.lax.while_loop(going, advance, (state, jnp.int32(0)))[0]
+
+
+def _beginning(pair: Pair, shape: tuple[int, ...], with_witness: bool) -> _State:
+    """The state before the first step, which looks along the line of the centres."""
     zero, none = jnp.zeros(shape, jnp.int32), tuple(jnp.zeros((3, *shape)) for _ in range(3))
-    nearest = pair.offset if direction is None else direction
-    nearest = tuple(jnp.broadcast_to(c, shape) for c in nearest)
-    start = _State(
+    nearest = tuple(jnp.broadcast_to(c, shape) for c in pair.offset)
+    return _State(
         step=zero,
         old=none,
         new=nearest,
@@ -256,11 +232,10 @@ def _search(
         old_here=none if with_witness else (),
         new_here=nearest if with_witness else (),
     )
-    return jax.lax.while_loop(going, advance, start)
 
 
 def _advance(
-    hulls: ConvexHulls, pair: Pair, limit: Array, state: _State, with_witness: bool
+    hulls: ConvexHulls, pair: Pair, limit: Array, state: _State, always: Array, with_witness: bool
 ) -> _State:
     """One step: the point that is farthest back, and what is nearest to the origin with it."""
     nearest = state.nearest
@@ -277,7 +252,8 @@ def _advance(
     # on the way out a step that does not help is the last one
     done = state.done | (gap - bound <= TOLERANCE) | (state.overlap & (bound <= state.bound))
     done |= (bound >= limit) | (state.step >= STEPS)
-    nearest, second, third, overlap = _closest(new, old, state.overlap, bound <= 0, is_first)
+    operands = new, old, state.overlap, bound <= 0, is_first
+    nearest, second, third, overlap = closest(computed_once(candidates, always, *operands))
     old_here = _corners(state.old_here, state.new_here, state) if with_witness else ()
     return _State(
         step=state.step + 1,
@@ -296,5 +272,5 @@ def _advance(
 
 def _corners(old: Vector, new: Vector, state: _State) -> Vector:
     """The corners of the triangle that is left, components `[3, ...]`."""
-    corners = [new, _pick(old, state.second), _pick(old, state.third)]
+    corners = [new, pick(old, state.second), pick(old, state.third)]
     return tuple(jnp.stack([corner[i] for corner in corners]) for i in range(3))

@@ -8,6 +8,7 @@ uncertain then; `refine` goes on until all is certain. Layout and loops as in th
 A group of obstacles is (blocks, pairing). Columns are numbered through all groups.
 """
 
+import functools
 from typing import Any
 
 import jax
@@ -20,7 +21,7 @@ from hybrid_jax.kernels.collision.broad_phase import (
     pair_bound,
 )
 from hybrid_jax.kernels.collision.distance import FAR
-from hybrid_jax.kernels.collision.nearest_pair import Nearest, smallest, take
+from hybrid_jax.kernels.collision.nearest_pair import Nearest, least_bounds, smallest, take
 from hybrid_jax.kernels.collision.rounded_boxes import RoundedBoxes, Rows
 
 _ROWS_AT_ONCE, _PAIRS_AT_ONCE = 5, 3
@@ -45,6 +46,35 @@ def _row_flags(allowed: Array, row: Array) -> Array:
         shift = jnp.arange(flags.shape[1], dtype=jnp.int32)[:, None, None]
         words.append((take(packed, row)[None] >> shift) & 1)
     return jnp.concatenate(words)
+
+
+def promising_pairs(
+    rows, row_boxes, groups, span: slice, best: Array | None, count: int, pairs: int
+) -> tuple[Array, Array, Array, Array]:
+    """The pairs with the least bounds, of the rows with the least; see `search`.
+
+    Args:
+        rows, row_boxes, groups, span, count, pairs: see `search`.
+        best: the same; None where `count` is all rows of `span`.
+
+    Returns:
+        Rows, columns and bounds [m] of the pairs `[pair, b]`, and the least bound `[b]` of others.
+    """
+    columns = sum(blocks.radius.shape[0] for blocks, _ in groups)
+    own, batch = row_boxes, rows.centre.shape[-1]
+    if best is None:
+        count = span.stop - span.start
+        row = jnp.broadcast_to(jnp.arange(span.start, span.stop)[:, None], (count, batch))
+        promising, other_rows = jax.tree.map(lambda a: a[..., span, :], rows), jnp.full(batch, FAR)
+    else:
+        _, index, other_rows = smallest(best[span], count)
+        row = index + span.start
+        promising, own = _take_rows(rows, row), row_boxes and _take_rows(row_boxes, index)
+    pairs = min(pairs, count * columns)
+    table = _pair_bounds(promising, own, row, groups).reshape(columns * count, -1)
+    bound, flat, other_pairs = least_bounds(table, pairs)
+    row = jnp.take_along_axis(row, flat % count, 0)
+    return row, flat // count, bound, jnp.minimum(other_rows, other_pairs)
 
 
 def search(
@@ -87,11 +117,16 @@ def search(
     return Nearest(distance, nearest_row, nearest_column, jnp.minimum(other_rows, other_pairs))
 
 
-def _measure(measure, operands, bound: Array) -> tuple[Array, Array]:
-    """The least distance `[b]` [m] of pairs with bounds `[pair, b]`, and its pair `[1, b]`."""
+def _measure(measure, operands, bound: Array, is_bound: bool = False) -> tuple[Array, Array]:
+    """The least distance `[b]` [m] of pairs with bounds `[pair, b]`, and its pair `[1, b]`.
+
+    `is_bound` says that what is measured is but a bound where a pair overlaps: the better counts.
+    """
 
     def step(k, gap):
         pair_distance = measure(*(record and column_of(record, k) for record in operands))
+        if is_bound:
+            pair_distance = jnp.maximum(pair_distance, bound[k])
         return gap.at[k].set(jnp.where(bound[k] < FAR / 2, pair_distance, FAR))
 
     gap = jax.lax.fori_loop(0, len(bound), step, jnp.full_like(bound, FAR))
@@ -161,7 +196,12 @@ def refine(
                 own and _take_rows(own, rank),
                 _pick([b for b, _ in groups], column),
             )
-            distance, at = _measure(measure, operands, bound)
+            near = measure
+            if hulls:
+                # a pair that is farther than this changes nothing
+                limit = jnp.minimum(nearest.distance, enough)
+                near = functools.partial(measure, enough=limit)
+            distance, at = _measure(near, operands, bound, is_bound=hulls)
             found_row, found_column = take(take(row, rank), at)[0], take(column, at)[0]
             found = Nearest(distance, found_row, found_column, nearest.rest)
             is_measured = jnp.any(pair_number == flat, axis=1)

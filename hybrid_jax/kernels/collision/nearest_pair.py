@@ -3,6 +3,7 @@
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -57,6 +58,26 @@ def smallest(values: Array, count: int) -> tuple[Array, Array, Array]:
         smallest, positions = [*smallest, least], [*positions, position]
         values = jnp.where(index == position, FAR, values)
     return jnp.stack(smallest), jnp.stack(positions), jnp.min(values, axis=0)
+
+
+def least_bounds(bounds: Array, count: int) -> tuple[Array, Array, Array]:
+    """`smallest` of lower bounds, rounded down by so much that each holds its own number.
+
+    One number is compared instead of two, and no two are equal: that takes far less time.
+    """
+    size = bounds.shape[0]
+    digits = (1 << max(1, (size - 1).bit_length())) - 1
+    as_sorted = lambda bits: jnp.where(bits < 0, bits ^ 0x7FFFFFFF, bits)  # noqa: E731
+    # the bits of a float, with those of negative ones reversed, stand in its order
+    keys = as_sorted(jax.lax.bitcast_convert_type(bounds, jnp.int32)) & ~digits
+    keys |= jnp.arange(size, dtype=jnp.int32).reshape(size, *(1,) * (bounds.ndim - 1))
+    least = [jnp.min(keys, axis=0)]
+    for _ in range(count):
+        least.append(jnp.min(jnp.where(keys > least[-1], keys, 0x7FFFFFFF), axis=0))
+    least = jnp.stack(least)
+    rounded = jax.lax.bitcast_convert_type(as_sorted(least & ~digits), jnp.float32)
+    rounded = jnp.where(rounded < FAR / 2, rounded, FAR)
+    return rounded[:count], least[:count] & digits, rounded[count]
 
 
 def take(array: Array, index: Array) -> Array:

@@ -252,7 +252,10 @@ def split_blocks(
     part = lambda start, stop: jax.tree.map(lambda a: a[..., start:stop, :], blocks)  # noqa: E731
     if has_polytopes(cell):
         hulls = jax.tree.map(lambda a: a[0], cell.hulls)
-        measure = lambda rows, own, block: convex_distance(hulls, own, block)  # noqa: E731
+
+        def measure(rows, own, block, enough: Array | float = jnp.inf):
+            return convex_distance(hulls, own, block, enough)
+
         span = slice(0, sum(row_counts(cell)))
         return part(0, first), [(span, part(first, first + span.stop), measure)]
     cover_blocks, runs = part(0, first), []

@@ -19,8 +19,9 @@ SQUARES = 12
 """Squares along an edge of the cube. It is even: no cell of a box's table has two corners."""
 CELLS = 6 * SQUARES**2
 """Cells of all directions."""
-SLICE = 8
-"""Candidates that are looked at together: nearly all cells have no more."""
+SLICE = 12
+"""Candidates that are looked at together: nearly all cells have no more. Of a round rim that lies
+across an axis a cell has a quarter, as four cells meet at that axis."""
 
 
 def cell_corners() -> np.ndarray:
