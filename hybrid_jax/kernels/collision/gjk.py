@@ -182,13 +182,8 @@ def _search(
 ) -> _State:
     """Go to the nearest point of the difference of two bodies.
 
-    Args:
-        hulls: tables of the hulls that they are.
-        pair: the bodies, `[...]`.
-        enough: signed distance at which a search may end [m].
-        state: where to go on, else the search begins.
-        steps: most steps from there.
-        with_witness: keep the points of the first body?
+    It ends at a signed distance of `enough` [m], and after so many steps from `state`, or from the
+    beginning. With witness it keeps the points of the first body.
     """
     shape = jnp.broadcast_shapes(*(jnp.shape(c) for c in (*pair.offset, *pair.hull)))
     limit = enough + pair.radius

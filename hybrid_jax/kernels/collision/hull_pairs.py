@@ -36,7 +36,7 @@ _PAIRS = 8
 _STEPS = (1, 1, 3, 2)
 """Steps between such choices; the last number is that of all that follow."""
 _LANES = 256
-"""Pairs that run in step on a CPU: their state stays in the first-level cache."""
+"""Pairs that run in step on a CPU: what a step needs of them fits a cache."""
 _ACCELERATOR_LANES = 65536
 """The same on an accelerator."""
 CONFIGURATIONS = 2048
@@ -156,14 +156,6 @@ def _measure(
     lanes = min(by_backend(_LANES, _ACCELERATOR_LANES), len(limit))
     steps = jnp.array(_STEPS)
 
-    def choose(search):
-        """Of each configuration the pair with the least bound, and whether it must be measured."""
-        number = jnp.argmin(search.bound, axis=0).astype(jnp.int32)
-        least, done = (
-            jnp.take_along_axis(a, number[None], 0)[0] for a in (search.bound, search.done)
-        )
-        return number, ~done & (least < limit)
-
     def go_on(state):
         number, matters, search, choices = state
         places, used = _places(matters, lanes)
@@ -176,11 +168,18 @@ def _measure(
             return _store(search, item, *found)
 
         search = jax.lax.fori_loop(0, -(-used // lanes), block, search)
-        return *choose(search), search, jnp.minimum(choices + 1, len(steps) - 1)
+        return *_choose(search, limit), search, jnp.minimum(choices + 1, len(steps) - 1)
 
     search = _Search(bound, jnp.zeros(bound.shape, bool), jnp.zeros((bound.size, RECORD)))
-    state = *choose(search), search, jnp.int32(0)
+    state = *_choose(search, limit), search, jnp.int32(0)
     return jax.lax.while_loop(lambda state: jnp.any(state[1]), go_on, state)[2].bound
+
+
+def _choose(search: _Search, limit: Array) -> tuple[Array, Array]:
+    """The pair `[b]` with the least bound, and whether it must be measured, see `_measure`."""
+    number = jnp.argmin(search.bound, axis=0).astype(jnp.int32)
+    least, done = (jnp.take_along_axis(a, number[None], 0)[0] for a in (search.bound, search.done))
+    return number, ~done & (least < limit)
 
 
 def _store(search: _Search, item: Array, record: Array, bound: Array, done: Array) -> _Search:
