@@ -31,7 +31,7 @@ def main(
         out: folder to write to; its name is the cell's.
         tool: site or link that is the tool, where the file does not tell.
         group: group of the SRDF that is the arm; all other joints are held.
-        gripper: shipped gripper (robotiq_2f85), or a model, to mount on the tool's frame.
+        gripper: name of a shipped gripper, or a model, to mount on the tool's frame.
         srdf: file that names the links which may touch.
         package_path: folders that hold ROS packages.
         xacro_arg: arguments of a xacro file, each as NAME=VALUE.
