@@ -404,6 +404,16 @@ def test_a_mesh_in_millimetres_is_doubted(tmp_path):
     assert "upper" in text and "0.001" in text
 
 
+def test_a_link_that_is_far_from_convex_is_named(tmp_path):
+    import trimesh
+
+    path = package(tmp_path)
+    pipe = trimesh.creation.annulus(r_min=0.055, r_max=0.06, height=0.25)
+    pipe.export(path.parent.parent / "meshes" / "upper.stl")
+    text = " | ".join(f.text for f in diagnose(path) if "far from convex" in f.text)
+    assert "upper" in text and "times its volume" in text
+
+
 def test_the_command_prints_and_writes_what_it_did(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     out, urdf = tmp_path / "cell", str(package(tmp_path))

@@ -158,6 +158,20 @@ def test_a_box_as_a_mesh_is_a_box(tmp_path):
     assert sorted(found.half_extents) == pytest.approx([0.01, 0.025, 0.05], abs=1e-6)
 
 
+def test_a_mesh_that_is_far_from_convex_is_said():
+    """An L of three cubes: its hull has half a cube more."""
+    trimesh = pytest.importorskip("trimesh")
+    plan = [[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]]
+    ell = trimesh.creation.extrude_triangulation(
+        plan, [[0, 1, 3], [1, 2, 3], [0, 3, 5], [3, 4, 5]], 1.0
+    )
+    ratio = convex_hulls.hull_volume_ratio(ell.vertices, ell.faces)
+    assert ratio == pytest.approx(3.5 / 3)
+    assert convex_hulls.hull_volume_ratio(ell.vertices, ell.faces[1:]) == 1.0
+    hull = trimesh.convex.convex_hull(can())
+    assert convex_hulls.hull_volume_ratio(hull.vertices, hull.faces) == pytest.approx(1.0)
+
+
 def test_a_flat_mesh_is_refused_by_name():
     flat = round_points(20, 5) * [1, 1, 0]
     with pytest.raises(WorkcellError, match="plate has no volume"):

@@ -52,6 +52,27 @@ def distance_to_hull(point: np.ndarray, vertices: np.ndarray) -> float:
     return float(np.linalg.norm(vertices.T @ weights - point))
 
 
+def hull_volume_ratio(vertices: np.ndarray, faces: np.ndarray) -> float:
+    """Volume of a mesh's convex hull over its own; 1 where the mesh is open, flat or inside out.
+
+    Args:
+        vertices: `[n, 3]` [m].
+        faces: `[m, 3]` numbers of vertices, counter-clockwise from outside.
+    """
+    starts, ends = faces.astype(np.int64).ravel(), np.roll(faces, -1, axis=1).ravel()
+    there, back = starts * len(vertices) + ends, ends * len(vertices) + starts
+    # without a surface that closes, each edge once in either direction, there is no volume
+    if not np.array_equal(np.sort(there), np.sort(back)):
+        return 1.0
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    own = float(np.einsum("nd,nd->", a, np.cross(b, c))) / 6  # the divergence theorem
+    try:
+        whole = ConvexHull(vertices).volume
+    except QhullError:
+        return 1.0
+    return max(whole / own, 1.0) if own > 1e-3 * whole else 1.0
+
+
 def _frame(hull: ConvexHull) -> np.ndarray:
     """Axes `[3, 3]` of the smallest box around a hull among the mesh's, the principal and those
     of its large faces."""

@@ -37,6 +37,8 @@ SLOWEST = 1e-4
 """Speed below which a joint takes hours for any motion [rad/s, m/s]."""
 LONGEST = 20.0
 """Length above which an arm was probably drawn in millimetres [m]."""
+HOLLOW = 2.0
+"""Volume of a hull over that of its mesh from which on it is said."""
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 
 
@@ -126,6 +128,11 @@ def _geoms(model: mujoco.MjModel, tolerance: float) -> Iterator[Finding]:
                 f"{text} {model.geom_rbound[g]:.0f} m: was it drawn in millimetres? Then give it "
                 "scale='0.001 0.001 0.001'",
             )
+        ratio = geometry.hull_ratio(model, g)
+        if ratio > HOLLOW:
+            label = geometry.geom_label(model, g)
+            text = f"the mesh of geom {label} is far from convex: its hull has {ratio:.1f} times"
+            yield Finding(DOUBTFUL, f"{text} its volume, and blocks all of it; split the mesh")
         try:
             geometry.primitives(model, data, g, world, tolerance)
         except WorkcellError as error:

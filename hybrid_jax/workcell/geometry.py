@@ -13,7 +13,7 @@ from hybrid_jax.kernels.collision.primitive_kinds import KINDS as KINDS_OF_PRIMI
 from hybrid_jax.kernels.collision.primitive_kinds import kind_of, rows_as_boxes, spans
 from hybrid_jax.types import Shapes
 from hybrid_jax.workcell import approximation
-from hybrid_jax.workcell.convex_hulls import polytope
+from hybrid_jax.workcell.convex_hulls import hull_volume_ratio, polytope
 from hybrid_jax.workcell.poses import as_row, matrix_pose, pose_of
 
 _G = mujoco.mjtGeom
@@ -143,6 +143,15 @@ def _mesh_vertices(model, geom: int) -> np.ndarray:
     mesh = int(model.geom_dataid[geom])
     first = int(model.mesh_vertadr[mesh])
     return model.mesh_vert[first : first + int(model.mesh_vertnum[mesh])].astype(float)
+
+
+def hull_ratio(model: mujoco.MjModel, geom: int) -> float:
+    """Volume of the hull that a geom counts as over its mesh's; 1 where it is no closed mesh."""
+    if model.geom_type[geom] != MESH:
+        return 1.0
+    mesh = int(model.geom_dataid[geom])
+    first, count = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
+    return hull_volume_ratio(_mesh_vertices(model, geom), model.mesh_face[first : first + count])
 
 
 def primitives(model, data, geom: int, frame: RigidTransform, tolerance: float) -> list[Primitive]:
