@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Damped least squares from a seed towards a tool pose, as a kernel over whole batches.
 
-Levenberg-Marquardt steps in task space; joints stay within their limits throughout (Chan and
-Dubey 1995 clamp the same way). Components first, batch last, as in `kernels.vec3`.
+Levenberg-Marquardt steps in task space; joints stay within their limits throughout, and those
+that would leave them are left out of a step (an active set, as in Baerlocher and Boulic 2004).
+Components first, batch last, as in `kernels.vec3`.
 """
 
 import functools
@@ -46,20 +47,31 @@ def _task_error(chain: KinematicChain, pose, q: Array):
     return error, jnp.stack([*linear, *vec3.scale(axes, chain.hinge)])
 
 
-def _step(chain: KinematicChain, pose, q: Array, max_step: float, damping: float) -> Array:
-    """One damped step of the configurations `[joint, b]`, cut off at the joint limits."""
+def _step(
+    chain: KinematicChain, pose, q: Array, moves: Array, max_step: float, damping: float
+) -> tuple[Array, Array]:
+    """One damped step of the configurations `[joint, b]`, cut off at the joint limits.
+
+    `moves` `[joint, b]` is 0 for joints that stand at a limit and are pulled beyond it, else 1:
+    counted as free, they would take part of each step in vain, and many seeds would end there.
+    """
     error, jacobian = _task_error(chain, pose, q)
-    matrix = gram(jacobian)
+    matrix = gram(jacobian * moves)
     # damping that grows with the squared error: steps far from the target stay moderate
     regularisation = damping + 0.1 * jnp.sum(error * error, axis=0)
     for i in range(6):
         matrix[i][i] = matrix[i][i] + regularisation
     forces = solve(matrix, error)
-    delta = sum(jacobian[i] * forces[i] for i in range(6))
+    delta = moves * sum(jacobian[i] * forces[i] for i in range(6))
     # scaled as a whole, so that the tool keeps its direction
     largest = jnp.max(jnp.abs(delta), axis=0)
     delta = delta * jnp.minimum(1.0, max_step / jnp.maximum(largest, 1e-9))
-    return jnp.clip(q + delta, chain.limits[:, 0], chain.limits[:, 1])
+    low, high = chain.limits[:, 0], chain.limits[:, 1]
+    after = jnp.clip(q + delta, low, high)
+    # for the next step: asked within one, XLA's CPU back end would compute the Jacobian anew for
+    # each of its uses
+    pull = sum(jacobian[i] * error[i] for i in range(6))
+    return after, jnp.where(pull > 0, after < high, after > low).astype(q.dtype)
 
 
 def _descend(chain, pose, seed, iterations, *, max_step: float, damping: float):
@@ -67,9 +79,8 @@ def _descend(chain, pose, seed, iterations, *, max_step: float, damping: float):
     chain, pose, q = jax.tree.map(lambda a: jnp.moveaxis(a, 0, -1), (chain, pose, seed))
     target = (vec3.position(pose), tuple(pose[:4]))
     q = jnp.broadcast_to(q, (q.shape[0], batch_size((seed, pose.T))))
-    q = jax.lax.fori_loop(
-        0, jnp.max(iterations), lambda _, q: _step(chain, target, q, max_step, damping), q
-    )
+    step = lambda _, state: _step(chain, target, *state, max_step, damping)  # noqa: E731
+    q = jax.lax.fori_loop(0, jnp.max(iterations), step, (q, jnp.ones_like(q)))[0]
     return q.T, _task_error(chain, target, q)[0].T
 
 
