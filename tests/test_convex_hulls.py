@@ -144,11 +144,18 @@ def test_nothing_of_a_mesh_stands_out_of_its_polytope(points, excess):
 
 
 def test_fewer_vertices_suffice_where_more_is_allowed():
-    counts = [
-        len(convex_hulls.polytope(round_points(800, 4), excess, "m").vertices)
-        for excess in (1e-4, 1e-3, 5e-3)
-    ]
+    excesses = 1e-4, 1e-3, 5e-3
+    found = [convex_hulls._fewer(round_points(800, 4), excess) for excess in excesses]
+    counts = [len(vertices) for vertices, _ in found]
     assert counts[0] > counts[1] > counts[2] > 4
+    assert all(radius <= e for (_, radius), e in zip(found, excesses, strict=True))
+
+
+def test_a_hull_of_few_vertices_stands_out_by_less_than_it_may():
+    few, many = (
+        convex_hulls.polytope(round_points(n, 4, (0.3, 0.3, 0.3)), 5e-4, "m") for n in (150, 4000)
+    )
+    assert few.radius <= 5e-5 + 1e-9 < 1e-4 < many.radius <= 5e-4
 
 
 def test_a_box_as_a_mesh_is_a_box(tmp_path):

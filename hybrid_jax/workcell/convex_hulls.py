@@ -21,6 +21,10 @@ MESH_TOLERANCE = 5e-4
 """How far a polytope may stand out of the convex hull of its mesh, unless the caller says [m]."""
 _HULLS, _SLICES, _FACES = 4, 1024, 64
 """The tables have multiples of these sizes, so that cells share their programs."""
+_SHARES = 0.4, 0.2, 0.1
+"""Shares of the excess that is allowed, tried in turn while the hull has few vertices."""
+_PLENTY = 260
+"""Vertices from which on no smaller excess is tried. Below, more of them cost next to nothing."""
 _CUBE = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
 
 
@@ -160,14 +164,19 @@ def _polytope(content: bytes, excess: float) -> Polytope | None:
     if max(np.linalg.norm(vertices - corner, axis=1).min() for corner in box) <= excess:
         return Polytope(pose, half, None, 0.0)
     kept, radius = _fewer(vertices, excess - 2 * TIE)
+    for share in _SHARES:
+        if len(kept) > _PLENTY or share * excess < 10 * TIE:
+            break
+        kept, radius = _fewer(vertices, share * excess - 2 * TIE)
     # along a direction between corners of a cell a tie counts a little more than along these
     return Polytope(pose, half, kept, radius + 2 * TIE)
 
 
 def polytope(vertices: np.ndarray, excess: float, label: str) -> Polytope:
-    """The convex hull of a mesh, with as few vertices as its excess allows.
+    """The convex hull of a mesh, without vertices that its excess can spare.
 
-    What is left out lies within the ball that sweeps the hull: nothing of the mesh stands out.
+    The excess is smaller than asked for where few vertices suffice for that. What is left out lies
+    within the ball that sweeps the hull: nothing of the mesh stands out.
 
     Args:
         vertices: `[n, 3]` [m].
