@@ -18,11 +18,14 @@ from hybrid_jax.adopt.semantic_description import read_srdf
 from hybrid_jax.errors import UnknownNameError, WorkcellError
 from hybrid_jax.execution.single_tasks import execute
 from hybrid_jax.kernels.kinematics import tool_pose
+from hybrid_jax.planner import infeasible_segments
 from hybrid_jax.planner.bridging import rrt_bridger
+from hybrid_jax.planner.infeasible_segments import harvest
 from hybrid_jax.planner.pipeline import plan_motion
 from hybrid_jax.planner.point_to_point import plan_joint_motion
 from hybrid_jax.planner.rrt_connect import RrtConfig
 from hybrid_jax.runs.load_planner import untrained_planner
+from hybrid_jax.runs.switch_problems import combined_phases
 from hybrid_jax.tasks.registry import random_task
 from hybrid_jax.types import Status
 from hybrid_jax.workcell.assets import robots_folder
@@ -309,7 +312,7 @@ slot = [0.0, 0.05, 0.0]
 """
 
 
-def test_an_adopted_arm_carries_what_stands_around_it(tmp_path):
+def test_an_adopted_arm_carries_what_stands_around_it(tmp_path, capsys, monkeypatch):
     """From a bare arm and one file to a plan that C MuJoCo carries out: the part is in its tray."""
     (tmp_path / "around.toml").write_text(PICK)
     options = AdoptionOptions(gripper="robotiq_2f85", fixtures=(tmp_path / "around.toml",))
@@ -326,6 +329,13 @@ def test_an_adopted_arm_carries_what_stands_around_it(tmp_path):
     assert planned.status == Status.OK, planned.detail
     result = execute(cell, task, planned)
     assert result.success, result
+    # where nothing is in the way of the skills the agents train on what there is
+    monkeypatch.setattr(infeasible_segments, "gaps_of", lambda *_: [])
+    settings = planner.config.skills, planner.config.first_look, planner.scale
+    found = harvest(cell, planner.library, planner.choose, *settings, tasks=range(2), seed=0)
+    assert "skills alone suffice" in capsys.readouterr().err and len(found.start) >= 4
+    without = replace(planner, bridge=None), [task], jax.random.key(1)
+    assert len(combined_phases(*without, gaps_only=False)) > len(combined_phases(*without))
 
 
 @pytest.mark.parametrize(

@@ -79,7 +79,10 @@ def _descend(chain, pose, seed, iterations, *, max_step: float, damping: float):
     chain, pose, q = jax.tree.map(lambda a: jnp.moveaxis(a, 0, -1), (chain, pose, seed))
     target = (vec3.position(pose), tuple(pose[:4]))
     q = jnp.broadcast_to(q, (q.shape[0], batch_size((seed, pose.T))))
-    step = lambda _, state: _step(chain, target, *state, max_step, damping)  # noqa: E731
+
+    def step(_, state):
+        return _step(chain, target, state[0], state[1], max_step, damping)
+
     q = jax.lax.fori_loop(0, jnp.max(iterations), step, (q, jnp.ones_like(q)))[0]
     return q.T, _task_error(chain, target, q)[0].T
 
