@@ -23,11 +23,11 @@ slow: $(VENV)/.installed
 	XLA_FLAGS= $(BIN)/python -m pytest -n 0 -m slow
 
 tiny: $(VENV)/.installed
-	XLA_FLAGS= $(BIN)/python -m pytest -n 2 -m tiny tests/test_figures.py $(if $(TINY),-k "$(TINY)")
+	$(BIN)/python -m pytest -n 2 -m tiny tests/test_figures.py $(if $(TINY),-k "$(TINY)")
 
 # shapes and types of the kernels' arguments and results, checked while their tests run
 SHAPES := hybrid_jax.kernels,hybrid_jax.skills,hybrid_jax.ik,beartype.beartype
-SHAPE_TESTS := dualquat kinematics distance collision rays edges_and_inputs ik_and_map skills timing convex_hulls joint_motion
+SHAPE_TESTS := dualquat kinematics distance collision rays edges_and_inputs ik_and_map skills timing convex_hulls
 shapes: $(VENV)/.installed
 	$(BIN)/python -m pytest --jaxtyping-packages=$(SHAPES) $(SHAPE_TESTS:%=tests/test_%.py)
 
