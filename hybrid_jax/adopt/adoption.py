@@ -114,6 +114,7 @@ def _complete(source: Path, options: AdoptionOptions) -> tuple[_Draft, list[str]
     spec = as_spec(source, options.package_paths, options.xacro_arguments)
     absolute_assets(spec)
     spec.compiler.discardvisual = False  # a URDF's sky would vanish
+    _name_joints(spec)
     model = compile_spec(spec)
     had_home, home = bool(model.nkey), _by_joint(model, home_qpos(model))
     for key in list(spec.keys):  # their numbers are those of the robot alone
@@ -155,12 +156,18 @@ def _arm(
     return [*notes, f"the gripper {file.stem!r} is mounted on it, along its z axis"], gripper
 
 
+def _name_joints(spec: mujoco.MjSpec) -> None:
+    """Name the joints that have no name: limits, home and reports go by names."""
+    for number, joint in enumerate(spec.joints):
+        if not joint.name:
+            joint.name = f"joint_{number}_of_{joint.parent.name or 'a_body'}"
+
+
 def _by_joint(model: mujoco.MjModel, qpos: np.ndarray) -> dict[str, np.ndarray]:
     """Values of joints by their names."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
-    joints = [data.joint(j) for j in range(model.njnt)]
-    return {joint.name: joint.qpos.copy() for joint in joints if joint.name}
+    return {joint.name: joint.qpos.copy() for joint in map(data.joint, range(model.njnt))}
 
 
 def _set_tool(spec: mujoco.MjSpec, tool: str) -> list[str]:

@@ -27,8 +27,6 @@ FLANGE = "flange"
 class Gripper:
     """What an arm must know of a gripper whose fingers slide symmetrically."""
 
-    base: str
-    """Body that is mounted on the flange."""
     tool_site: str
     """Site between the fingertips."""
     reach: Annotated[float, Within(0.0, LENGTH)]
@@ -105,7 +103,6 @@ def attach_gripper(spec: mujoco.MjSpec, model: Path) -> Gripper:
     spec.site(PREFIX + gripper.tool_site).name = TOOL
     return replace(
         gripper,
-        base=PREFIX + gripper.base,
         tool_site=TOOL,
         joints=tuple(PREFIX + joint for joint in gripper.joints),
         actuator=PREFIX + gripper.actuator,
@@ -115,7 +112,6 @@ def attach_gripper(spec: mujoco.MjSpec, model: Path) -> Gripper:
 def _require_names(gripper: Gripper, child: mujoco.MjSpec) -> None:
     """Refuse names that the gripper's model lacks."""
     wanted = [
-        ("body", [gripper.base], child.bodies, child.body),
         ("site", [gripper.tool_site], child.sites, child.site),
         ("joint", gripper.joints, child.joints, child.joint),
         ("actuator", [gripper.actuator], child.actuators, child.actuator),

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from hybrid_jax.adopt.gripper import Gripper
-from hybrid_jax.adopt.surroundings import FLOOR, HANDLED
+from hybrid_jax.adopt.surroundings import FLOOR, HANDLED, numbers_of
 from hybrid_jax.errors import UnknownNameError, WorkcellError
 
 LIFT, HOVER, RELEASE = 0.12, 0.12, 0.006
@@ -94,27 +94,26 @@ def _object(entry: dict[str, Any], gripper: Gripper, file: str) -> dict[str, Any
         missing += [key for key in ("grasp", "grip") if key not in entry]
     if missing:
         raise WorkcellError(f"{label} is to be carried: it needs {', '.join(missing)}")
-    grip = entry.get("grip", box[0] if box else None)
-    if not isinstance(grip, int | float):
-        raise WorkcellError(f"{label}: grip must be half its width between the fingers [m]")
+    if not isinstance(entry["kind"], str):
+        raise WorkcellError(f"{label}: kind must be a text")
+    (grip,) = numbers_of(entry, "grip", 1, label, (box or [None])[0]).tolist()
     if grip >= gripper.open:
         raise WorkcellError(
             f"{label} is {2e3 * grip:.0f} mm wide between the fingers, which open "
             f"{2e3 * gripper.open:.0f} mm: turn it, so that its narrow side is along x"
         )
-    grasp = entry.get("grasp")
-    if grasp is None:
-        # as low as the fingers allow, at most in the middle
-        grasp = [0.0, 0.0, round(max(0.0, gripper.reach + FINGER_ROOM - box[2]), 4)]
-    x, y, _ = entry.get("position", (0, 0, 0))
-    yaw = round(float(np.radians(entry.get("euler", (0, 0, 0))[2])), 6)
+    # as low as the fingers allow, at most in the middle
+    lowest = round(max(0.0, gripper.reach + FINGER_ROOM - box[2]), 4) if box else 0.0
+    numbers = lambda field, default: numbers_of(entry, field, 3, label, default).tolist()  # noqa: E731
+    x, y, _ = numbers("position", (0, 0, 0))
+    yaw = round(float(np.radians(numbers("euler", (0, 0, 0))[2])), 6)
     return {
         "name": entry["name"],
         "kind": entry["kind"],
         "tray": entry["tray"],
-        "grasp": grasp,
+        "grasp": numbers("grasp", (0.0, 0.0, lowest)),
         "grip": grip,
         "spawn": [x, y, yaw],
-        "jitter": entry.get("jitter", list(JITTER)),
-        "slot": entry["slot"],
+        "jitter": numbers("jitter", JITTER),
+        "slot": numbers("slot", ()),
     }

@@ -119,16 +119,16 @@ def _require_name(entry: dict[str, Any], known: set[str], label: str) -> str:
 
 def _pose(entry: dict[str, Any], label: str) -> tuple[np.ndarray, np.ndarray]:
     """Position `[3]` [m] and quaternion `[4]` of an entry."""
-    euler = _numbers(entry, "euler", 3, label, (0, 0, 0))
+    euler = numbers_of(entry, "euler", 3, label, (0, 0, 0))
     rotation = Rotation.from_euler("xyz", euler, degrees=True)
-    return _numbers(entry, "position", 3, label, (0, 0, 0)), rotation.as_quat(scalar_first=True)
+    return numbers_of(entry, "position", 3, label, (0, 0, 0)), rotation.as_quat(scalar_first=True)
 
 
 def _add_tray(spec, entry: dict[str, Any], label: str) -> None:
     """Add a tray: a floor and four walls, its origin in the middle of its underside."""
     label = _require_name(entry, TRAY_FIELDS, label)
-    length, width = _numbers(entry, "half_size", 2, label, ())
-    (height,) = _numbers(entry, "height", 1, label, (0.05,))
+    length, width = numbers_of(entry, "half_size", 2, label, ())
+    (height,) = numbers_of(entry, "height", 1, label, (0.05,))
     if min(length, width, height - FLOOR) <= 0:
         raise WorkcellError(
             f"{label}: half_size must be positive, and height more than {FLOOR:g}, the floor's"
@@ -158,10 +158,10 @@ def _add(spec, entry: dict[str, Any], folder: Path, label: str, movable: bool) -
     geom = _shape(spec, body, entry, file, label)
     if movable:
         body.add_freejoint(name=f"{entry['name']}_free")
-        geom.mass = float(_numbers(entry, "mass", 1, label, (0.2,))[0])
+        geom.mass = float(numbers_of(entry, "mass", 1, label, (0.2,))[0])
 
 
-def _numbers(entry: dict[str, Any], field: str, count: int, label: str, default) -> np.ndarray:
+def numbers_of(entry: dict[str, Any], field: str, count: int, label: str, default) -> np.ndarray:
     """A field of so many finite numbers.
 
     Raises:
@@ -180,13 +180,13 @@ def _shape(spec, body, entry: dict[str, Any], file: Path, label: str):
     """Add the geom of a fixture or object to its body."""
     for field, (kind, count, meaning) in SHAPES.items():
         if field in entry:
-            size = _numbers(entry, field, count, label, ())
+            size = numbers_of(entry, field, count, label, ())
             if (size <= 0).any():
                 raise WorkcellError(f"{label}: {field} must be positive: {meaning} [m]")
             return body.add_geom(type=kind, size=[*size, 0, 0][:3])
     if not file.is_file():
         raise WorkcellError(f"{label}: there is no file {file}")
-    name, scale = f"{entry['name']}_mesh", _numbers(entry, "scale", 1, label, (1.0,))
+    name, scale = f"{entry['name']}_mesh", numbers_of(entry, "scale", 1, label, (1.0,))
     if scale[0] <= 0:
         raise WorkcellError(f"{label}: scale must be positive: 0.001 for a mesh in millimetres")
     spec.add_mesh(name=name, file=str(readable_mesh(file.resolve())), scale=[scale[0]] * 3)
