@@ -100,24 +100,30 @@ def _is_clear(is_free: ContactCheck, path: np.ndarray) -> bool:
 
 
 def compared(robot: str, cell: Workcell, count: int) -> list[Row]:
-    """Both planners on every pair of one robot; the first pair is planned once before."""
+    """Both planners on every pair of one robot; the first pair is planned once before.
+
+    Pairs that OMPL does not plan are not put to us: most lie in parts of joint space that no path
+    joins.
+    """
     is_free, rows = ContactCheck(cell), []
     low, high = np.asarray(cell.joint_limits, float).T
     rival = OmplPlanner(np.maximum(low, -2 * np.pi), np.minimum(high, 2 * np.pi))
     pairs = free_pairs(cell, count)
-    for number, (start, goal) in enumerate([*pairs[:1], *pairs]):
+    for start, goal in pairs[:1]:
+        plan_joint_motion(cell, start, goal, key=jax.random.key(0))
+    for number, (start, goal) in enumerate(pairs):
+        path, rival_seconds = rival.solve(is_free, start, goal, SECONDS)
+        if path is None or not _is_clear(is_free, path):
+            rows.append(Row(robot, False, "not asked", 0.0, False, rival_seconds))
+            continue
         began = time.perf_counter()
         result = plan_joint_motion(cell, start, goal, key=jax.random.key(number))
         seconds = time.perf_counter() - began
         ok = result.status is Status.OK and all(
             _is_clear(is_free, phase.positions) for phase in result.phases
         )
-        if number == 0:
-            continue
-        path, rival_seconds = rival.solve(is_free, start, goal, SECONDS)
-        found = path is not None and _is_clear(is_free, path)
         reason = f"{result.status.name}: {result.detail}"
-        rows.append(Row(robot, ok, reason, seconds, found, rival_seconds))
+        rows.append(Row(robot, ok, reason, seconds, True, rival_seconds))
     return rows
 
 
@@ -156,12 +162,10 @@ def main(
                 continue
             new = compared(model.name, cell, 1 if tiny else pairs)
             rows += new
-            failed = sorted({row.reason for row in new if not row.ours})
-            print(
-                f"{model.name}: {sum(r.ours for r in new)} of {len(new)} planned, OMPL "
-                f"{sum(r.ompl for r in new)} {failed}",
-                flush=True,
-            )
+            failed = sorted({row.reason for row in new if row.ompl and not row.ours})
+            both = sum(row.ompl for row in new)
+            planned = sum(row.ours for row in new)
+            print(f"{model.name}: {planned} of {both} of {len(new)} {failed}", flush=True)
             jax.clear_caches()
     write(figures(rows), json)
 
@@ -171,9 +175,8 @@ def figures(rows: list[Row]) -> list[dict]:
     both = [row for row in rows if row.ompl]
     robots = len({row.robot for row in rows})
     share = float(np.mean([row.ours for row in both])) if both else 0.0
-    only_ours = sum(row.ours and not row.ompl for row in rows)
-    ours = [row.our_seconds for row in rows]
-    theirs = [row.ompl_seconds for row in rows]
+    ours = [row.our_seconds for row in both]
+    theirs = [row.ompl_seconds for row in both]
     return [
         metric(
             "robots.planned_vs_ompl",
@@ -181,7 +184,7 @@ def figures(rows: list[Row]) -> list[dict]:
             "",
             "higher",
             f"of {len(both)} pairs of {robots} robots that OMPL plans in {SECONDS:g} s, of "
-            f"{len(rows)}; {only_ours} more that it does not",
+            f"{len(rows)} pairs",
         ),
         metric(
             "robots.plan_seconds",

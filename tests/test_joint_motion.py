@@ -29,9 +29,7 @@ BALLS = """
     </body></body>
 </worldbody></mujoco>"""
 START, GOAL = np.array([-1.0, 0.0]), np.array([1.0, 0.0])
-CONFIG = JointMotionConfig(
-    searches=(RrtConfig(workers=8, calls=100, capacity=256, margin=0.001, spread=np.inf),) * 2
-)
+CONFIG = JointMotionConfig(searches=(RrtConfig(calls=100, margin=0.001, spread=np.inf),) * 2)
 
 
 def ball_cell(middle: float):

@@ -25,20 +25,19 @@ from hybrid_jax.planner.turns import nearest_goal, rewound, turns_from, unlimite
 from hybrid_jax.runtime.keys import fold_in
 from hybrid_jax.types import Source, Status, Workcell
 
-QUICK = RrtConfig(workers=16, margin=0.001, capacity=512, calls=150)
-"""A quick search, which finds most motions. The trees are small because each call of the kernel
-costs time for their whole capacity."""
-THOROUGH = replace(
-    QUICK, capacity=4096, calls=1000, samples=16, spacing=QUICK.spacing / 2, spread=np.inf
-)
-"""A search in all of joint space, in steps so small that they seldom miss a thin obstacle."""
+QUICK = RrtConfig(margin=0.001, calls=200)
+"""A quick search beside the straight line, which finds most motions."""
+WIDE = replace(QUICK, calls=1000, spread=np.inf)
+"""A search in all of joint space."""
+THOROUGH = replace(WIDE, calls=2000, spacing=QUICK.spacing / 2)
+"""The same in steps so small that they seldom miss a thin obstacle."""
 
 
 @dataclass(frozen=True)
 class JointMotionConfig:
     """Settings of motions from one configuration to another."""
 
-    searches: tuple[RrtConfig, ...] = (QUICK, THOROUGH, THOROUGH, THOROUGH)
+    searches: tuple[RrtConfig, ...] = (QUICK, WIDE, THOROUGH, THOROUGH)
     """Tried in turn, each with a random key of its own."""
     margin: float = 0.0002
     """Clearance that a path must be proven to keep on all its edges [m]."""

@@ -2,13 +2,13 @@
 """RRT-Connect with many workers, for many problems in lockstep, on the collision kernels.
 
 Reference: Kuffner, LaValle, "RRT-Connect: An Efficient Approach to Single-Query Path Planning",
-ICRA 2000. Each worker walks along a branch and checks `samples` configurations in a call of the
+ICRA 2000. Each worker walks along a branch and checks some configurations in a call of the
 kernel. A worker that is blocked, or has arrived, adds a node where it stands and takes the next
 branch at once: most branches are blocked after a few configurations, and no worker waits for the
 long ones. Edges are checked at samples only, so callers prove the paths that are returned.
 """
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import jax
 import jax.numpy as jnp
@@ -17,31 +17,45 @@ from jax import Array
 from jaxtyping import PRNGKeyArray
 
 from hybrid_jax.kernels.collision.clearance import clearance_up_to
+from hybrid_jax.planner.search_trees import (
+    BLOCK,
+    SearchTrees,
+    adapted,
+    drawn,
+    grown,
+    nearest,
+    planted,
+)
 from hybrid_jax.runtime.kept_programs import kept
 from hybrid_jax.runtime.keys import split
 from hybrid_jax.types import AnyArray, Record, Scene, Workcell, pytree
 
+WORKERS = 32
+"""Branches that are walked at the same time; half of them grow each tree."""
+SAMPLES = 4
+"""Configurations of a branch that are checked in one call of the kernel."""
+CAPACITY = 16 * BLOCK
+"""Largest number of nodes of each tree."""
+
 
 @dataclass(frozen=True)
 class RrtConfig:
-    """Settings of the search."""
+    """Settings of the search. Numbers only: all searches in a cell run one compiled program."""
 
-    workers: int = 32
-    """Number of branches that are walked at the same time; half of them begin in each tree."""
-    samples: int = 8
-    """Configurations of a branch that are checked in one call of the kernel."""
-    calls: int = 300
+    calls: int = 600
     """Number of calls of the kernel after which the search gives up."""
-    capacity: int = 2048
-    """Largest number of nodes of each tree."""
     spacing: float = 0.0625
     """Distance of the configurations that are checked along a branch [rad]."""
-    growth: float = 1.0
+    growth: float = 2.0
     """Largest length of a branch towards a sample [rad]."""
     margin: float = 0.004
     """Clearance to keep [m]."""
     spread: float = 1.2
     """Samples are drawn within the limits, from the box of start and goal grown by this [rad]."""
+
+
+_Settings = dict[str, Array]
+"""The fields of an `RrtConfig`, as arrays."""
 
 
 @pytree
@@ -64,14 +78,10 @@ class _Branches(Record):
 
 @pytree
 class _Search(Record):
-    """State of the search of one problem; the two trees are a leading axis of 2."""
+    """State of the search of one problem."""
 
-    nodes: Array
-    """`[2, node, joint]` configurations [rad or m]; the first is the root."""
-    parents: Array
-    """`[2, node]` parent of each node; -1 at the root."""
-    count: Array
-    """`[2]` number of nodes."""
+    trees: SearchTrees
+    """What was found so far."""
     branches: _Branches
     """The branches that are walked."""
     solved: Array
@@ -80,22 +90,8 @@ class _Search(Record):
     """`[2]` node of each tree at which they met."""
 
 
-def _nearest(search: _Search, tree: Array, q: Array) -> tuple[Array, Array]:
-    """Nearest node to each configuration `[worker, joint]` in its tree `[worker]`.
-
-    Returns:
-        Numbers of the nodes `[worker]`, and their configurations `[worker, joint]`.
-    """
-    in_use = jnp.arange(search.nodes.shape[1]) < search.count[:, None]
-    norms = jnp.where(in_use, jnp.sum(search.nodes**2, axis=-1), jnp.inf)
-    # |q|^2 is the same for all nodes and left out; "highest" as accelerators would round to TF32
-    squared = norms[:, None] - 2 * jnp.einsum("wj,tnj->twn", q, search.nodes, precision="highest")
-    index = jnp.argmin(squared, axis=-1)[tree, jnp.arange(len(tree))]
-    return index, search.nodes[tree, index]
-
-
-def _walk(cell: Workcell, branches: _Branches, config: RrtConfig) -> tuple[Array, Array, Array]:
-    """Check the next `samples` configurations of every branch.
+def _walk(cell: Workcell, branches: _Branches, settings: _Settings) -> tuple[Array, Array, Array]:
+    """Check the next `SAMPLES` configurations of every branch.
 
     Returns:
         Length that is free [rad], whether the branch is blocked, and whether it has arrived, each
@@ -103,19 +99,19 @@ def _walk(cell: Workcell, branches: _Branches, config: RrtConfig) -> tuple[Array
     """
     edge = branches.target - branches.start
     length = jnp.maximum(jnp.linalg.norm(edge, axis=-1), 1e-6)
-    distances = branches.walked[:, None] + jnp.arange(1, config.samples + 1) * config.spacing
+    distances = branches.walked[:, None] + jnp.arange(1, SAMPLES + 1) * settings["spacing"]
     distances = jnp.minimum(distances, length[:, None])
     points = branches.start[:, None] + (distances / length[:, None])[..., None] * edge[:, None]
     check = jax.vmap(jax.vmap(clearance_up_to, (None, 0, None)), (None, 0, None))
     # 1 up to the first sample that is blocked, 0 from there on
-    free = jnp.cumprod(check(cell, points, config.margin) >= config.margin, axis=1)
+    free = jnp.cumprod(check(cell, points, settings["margin"]) >= settings["margin"], axis=1)
     walked = jnp.max(jnp.where(free, distances, branches.walked[:, None]), axis=1)
     blocked = free[:, -1] == 0
     return walked, blocked, ~blocked & (walked >= length)
 
 
 def _next_branches(
-    cell: Workcell, search: _Search, new: Array, number: Array, key: Array, config: RrtConfig
+    cell: Workcell, search: _Search, new: Array, number: Array, key: Array, settings: _Settings
 ) -> _Branches:
     """The next branch of each worker: from the other tree to its new node, or towards a sample.
 
@@ -125,65 +121,60 @@ def _next_branches(
         new: `[worker, joint]` configurations of new nodes.
         number: `[worker]` numbers of these nodes; -1 where there is none to connect.
         key: consumed.
-        config: spread and growth.
+        settings: spread and growth.
     """
-    roots, workers = search.nodes[:, 0], jnp.arange(config.workers)
-    low = jnp.maximum(cell.chain.limits[:, 0], jnp.min(roots, 0) - config.spread)
-    high = jnp.minimum(cell.chain.limits[:, 1], jnp.max(roots, 0) + config.spread)
-    sample = jax.random.uniform(key, new.shape, new.dtype, low, high)
+    trees, roots = search.trees, search.trees.nodes[:, 0]
+    low = jnp.maximum(cell.chain.limits[:, 0], jnp.min(roots, 0) - settings["spread"])
+    high = jnp.minimum(cell.chain.limits[:, 1], jnp.max(roots, 0) + settings["spread"])
     connects = number >= 0
-    tree = jnp.where(connects, 1 - search.branches.tree, workers % 2)
+    sample, own, beside = drawn(trees, WORKERS, low, high, key)
+    tree = jnp.where(connects, 1 - search.branches.tree, own)
+    parent = jnp.where(connects, nearest(trees, tree, new), beside)
     target = jnp.where(connects[:, None], new, sample)
-    parent, start = _nearest(search, tree, target)
+    start = trees.nodes[tree, parent]
     length = jnp.linalg.norm(target - start, axis=-1, keepdims=True)
-    steered = start + (target - start) * jnp.minimum(1.0, config.growth / jnp.maximum(length, 1e-6))
+    share = jnp.minimum(1.0, settings["growth"] / jnp.maximum(length, 1e-6))
+    steered = start + share * (target - start)
     target = jnp.where(connects[:, None], target, steered)
-    return _Branches(tree, parent, start, target, number, jnp.zeros(len(workers)))
+    return _Branches(tree, parent, start, target, number, jnp.zeros(WORKERS))
 
 
-def _advance(cell: Workcell, config: RrtConfig, search: _Search, key: Array) -> _Search:
+def _advance(cell: Workcell, settings: _Settings, search: _Search, key: Array) -> _Search:
     """Walk on along all branches, add nodes to the trees, and begin the next branches."""
     branches = search.branches
-    walked, blocked, arrived = _walk(cell, branches, config)
-    joined, finished = arrived & (branches.meets >= 0), blocked | arrived
+    walked, blocked, arrived = _walk(cell, branches, settings)
+    to_sample, finished = branches.meets < 0, blocked | arrived
+    joined, failed = arrived & ~to_sample, blocked & to_sample & (walked <= 0)
+    trees = adapted(
+        search.trees, branches.tree, branches.parent, failed, finished & to_sample & ~failed
+    )
     share = walked / jnp.maximum(jnp.linalg.norm(branches.target - branches.start, axis=-1), 1e-6)
     stops = branches.start + share[:, None] * (branches.target - branches.start)
-    grows, trees = finished & (walked > 0) & ~joined, jnp.arange(2)[:, None]
-    added = grows & (branches.tree == trees)
-    slot = search.count[:, None] + jnp.cumsum(added, axis=1) - 1
-    slot = jnp.where(added & (slot < config.capacity), slot, config.capacity)
-    # a node that must not be added has the slot `capacity`: out of range, so it is dropped
-    grown = search.replace(
-        nodes=search.nodes.at[trees, slot].set(stops[None], mode="drop"),
-        parents=search.parents.at[trees, slot].set(branches.parent[None], mode="drop"),
-        count=jnp.minimum(search.count + jnp.sum(added, axis=1), config.capacity),
-    )
-    number = jnp.min(slot, axis=0)
-    connects = grows & (branches.meets < 0) & (number < config.capacity)
-    next_branches = _next_branches(cell, grown, stops, jnp.where(connects, number, -1), key, config)
+    grows = finished & (walked > 0) & ~joined & (branches.tree == jnp.arange(2)[:, None])
+    trees, number, is_new = grown(trees, grows, stops, branches.parent)
+    larger = search.replace(trees=trees)
+    number = jnp.where(is_new & to_sample, number, -1)
+    next_branches = _next_branches(cell, larger, stops, number, key, settings)
     continued = branches.replace(walked=walked)
     pick = lambda a, b: jnp.where(finished.reshape(-1, *[1] * (a.ndim - 1)), a, b)  # noqa: E731
     winner = jnp.argmax(joined)
     pair = jnp.stack([branches.parent[winner], branches.meets[winner]])
-    return grown.replace(
+    return larger.replace(
         branches=jax.tree.map(pick, next_branches, continued),
         solved=jnp.any(joined),
         join=jnp.where(branches.tree[winner] == 0, pair, pair[::-1]),
     )
 
 
-def _begin(cell: Workcell, start: Array, goal: Array, key: Array, config: RrtConfig) -> _Search:
+def _begin(cell: Workcell, start: Array, goal: Array, key: Array, settings: _Settings) -> _Search:
     """The search before its first step; one worker tries the straight edge between the roots."""
-    nodes = jnp.zeros((2, config.capacity, start.size)).at[:, 0].set(jnp.stack([start, goal]))
-    zero, tiled = (
-        jnp.zeros(config.workers, int),
-        jnp.broadcast_to(goal, (config.workers, goal.size)),
-    )
-    idle = _Branches(zero, zero, tiled, tiled, zero - 1, jnp.zeros(config.workers))
-    parents, count = jnp.full((2, config.capacity), -1), jnp.ones(2, int)
-    search = _Search(nodes, parents, count, idle, jnp.asarray(False), jnp.zeros(2, int))
-    branches = _next_branches(cell, search, tiled, zero - 1, key, config)
-    is_first = jnp.arange(config.workers) == 0
+    zero = jnp.zeros(WORKERS, int)
+    tiled = jnp.broadcast_to(goal, (WORKERS, goal.size))
+    idle = _Branches(zero, zero, tiled, tiled, zero - 1, jnp.zeros(WORKERS))
+    trees = planted(start, goal, CAPACITY)
+    search = _Search(trees, idle, jnp.asarray(False), jnp.zeros(2, int))
+    branches = _next_branches(cell, search, tiled, zero - 1, key, settings)
+    is_first = jnp.arange(WORKERS) == 0
     branches = branches.replace(
         target=jnp.where(is_first[:, None], tiled, branches.target),
         meets=jnp.where(is_first, 0, branches.meets),
@@ -191,23 +182,23 @@ def _begin(cell: Workcell, start: Array, goal: Array, key: Array, config: RrtCon
     return search.replace(branches=branches)
 
 
-@kept(static=("config",), hot=True)
-def _search(cell: Workcell, scenes: Scene, starts, goals, keys, config: RrtConfig) -> _Search:
+@kept(hot=True)
+def _search(cell: Workcell, scenes: Scene, starts, goals, keys, settings: _Settings) -> _Search:
     """Search all problems in lockstep; all leaves have a leading axis `[problem]`."""
 
     def begin(start, goal, key):
-        return _begin(cell, start, goal, jax.random.fold_in(key, 0), config)
+        return _begin(cell, start, goal, jax.random.fold_in(key, 0), settings)
 
     def unfinished(carry):
         call, searches = carry
-        return (call <= config.calls) & ~jnp.all(searches.solved)
+        return (call <= settings["calls"]) & ~jnp.all(searches.solved)
 
     def advance(carry):
         call, searches = carry
 
         def advance_problem(scene, search, key):
             problem_cell = cell.replace(scene=scene)
-            advanced = _advance(problem_cell, config, search, jax.random.fold_in(key, call))
+            advanced = _advance(problem_cell, settings, search, jax.random.fold_in(key, call))
             # a solved problem stays as it is while the others go on
             return jax.tree.map(lambda a, b: jnp.where(search.solved, a, b), search, advanced)
 
@@ -243,16 +234,17 @@ def plan_paths(
         cell: robot and fixtures.
         scenes: one scene for each problem, leaves `[problem, ...]`.
         starts, goals: configurations `[problem, joint]` [rad or m].
-        config: static settings.
+        config: settings.
         key: consumed.
 
     Returns:
         Way points `[way point, joint]` [rad or m] of each problem; None where none was found.
     """
     keys = split(key, len(starts))
-    searches = _search(cell, scenes, starts, goals, keys, config)
+    settings = {name: np.float32(value) for name, value in asdict(config).items()}
+    searches = _search(cell, scenes, starts, goals, keys, settings)
     solved, join, nodes, parents = jax.device_get(
-        (searches.solved, searches.join, searches.nodes, searches.parents)
+        (searches.solved, searches.join, searches.trees.nodes, searches.trees.parents)
     )
     paths: list[np.ndarray | None] = []
     for p in range(len(starts)):
