@@ -5,6 +5,7 @@ import jax
 import mujoco
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from hybrid_jax.kernels.collision.clearance import clearance
 from hybrid_jax.planner import trajectory_check
@@ -98,6 +99,21 @@ def test_what_cannot_be_planned_is_named(balls):
     ):
         result = plan_joint_motion(balls, start, goal, CONFIG, key=jax.random.key(0))
         assert result.status is status and words in result.detail and not result.phases
+
+
+def test_an_arm_that_almost_touches_may_leave_and_keeps_what_it_has(balls):
+    far = trajectory_check.ConfigurationChecker(balls, trajectory_check.CheckConfig(clearance=0.1))
+    far.enter(home_scene(balls))
+    lift = brentq(lambda b: far.gap(np.array([-0.05, b])) - 3e-4, -1.5, -0.1, xtol=1e-9)
+    start = np.array([-0.05, lift])
+    result = plan_joint_motion(balls, start, GOAL, CONFIG, key=jax.random.key(0))
+    assert result.status is Status.OK, result.detail
+    assert "it keeps 0.27 mm only" in result.detail
+    positions = result.phases[0].positions
+    assert min(far.gap(q) for q in positions) >= 2.6e-4
+    np.testing.assert_allclose(positions[0], start, atol=1e-9)
+    away = plan_joint_motion(balls, START, GOAL, CONFIG, key=jax.random.key(0))
+    assert "keeps" not in away.detail
 
 
 LOAD = """<body name="load" pos="-1 -1 0.2"><freejoint/>

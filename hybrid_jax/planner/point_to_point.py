@@ -12,7 +12,7 @@ from jaxtyping import Float, PRNGKeyArray
 
 from hybrid_jax.contracts import PlanResult
 from hybrid_jax.kernels.argument_checks import single_precision
-from hybrid_jax.kernels.collision.motion_validation import path_is_free
+from hybrid_jax.kernels.collision.motion_validation import path_clearance, path_is_free
 from hybrid_jax.planner import smoothing
 from hybrid_jax.planner.phase_scenes import home_scene, in_scene
 from hybrid_jax.planner.rrt_connect import RrtConfig, plan_paths
@@ -79,7 +79,7 @@ def find_path(
     return None
 
 
-def _admit(checker: ConfigurationChecker, cell: Workcell, scene: PhaseScene, start, goal):
+def _admit(checker: ConfigurationChecker, cell: Workcell, start, goal):
     """Start and goal as they can be planned, what was changed, and a refusal or None.
 
     Both C MuJoCo and the kernels must find them free; the kernels' primitives contain the solids.
@@ -91,12 +91,11 @@ def _admit(checker: ConfigurationChecker, cell: Workcell, scene: PhaseScene, sta
         if fault:
             return ends, "", PlanResult(status, fault)
         ends, notes = [*ends, q], [*notes, note]
-    checker.enter(scene)
     for name, status, q in (
         ("start", Status.START_INVALID, ends[0]),
         ("goal", Status.TASK_INFEASIBLE, ends[1]),
     ):
-        touched = checker.collision(q) or kernels_touch(cell, q)
+        touched = (checker.collision(q) if checker.gap(q) <= 0 else None) or kernels_touch(cell, q)
         if touched:
             return ends, "", PlanResult(status, f"the {name} is not free: {touched}")
     return ends, " ".join(filter(None, notes)), None
@@ -125,20 +124,48 @@ def plan_joint_motion(
 
     Returns:
         One trajectory of way points `[point, joint]` [rad or m] if the status is OK; it has passed
-        the same final check as every plan, and is at rest where start and goal are the same. Bad
-        ends raise nothing: the status says which is at fault.
+        the same final check as every plan, and is at rest where start and goal are the same. Where
+        an end is closer to a contact than the check allows, the motion must be nine tenths as far
+        from all contacts, and the detail says so. Bad ends raise nothing: the status says which is
+        at fault.
     """
     checker, scene = ConfigurationChecker(cell, config.check), scene or home_scene(cell)
     scene_cell = in_scene(cell, scene)
     start, goal, turns = _near_home(cell, start, goal)
-    ends, note, refusal = _admit(checker, scene_cell, scene, start, goal)
+    checker.enter(scene)
+    ends, note, refusal = _admit(checker, scene_cell, start, goal)
     if refusal:
         return refusal
     start, goal = ends
+    config = _kept_by(scene_cell, checker, ends, config)
+    if config.check != checker.config:
+        kept = 1e3 * config.check.clearance
+        note = f"{note} it keeps {kept:.2f} mm only, as start or goal are so close to a contact"
+        checker = ConfigurationChecker(cell, config.check)
     result = _plan_between(scene_cell, checker, scene, start, goal, config, key)
     if result.status is Status.OK:
         result = replace(result, detail=f"{result.detail} {note}".strip())
     return rewound(cell, result, turns) or result
+
+
+def _kept_by(
+    cell: Workcell, checker: ConfigurationChecker, ends: list[np.ndarray], config: JointMotionConfig
+) -> JointMotionConfig:
+    """The settings with clearances that the ends `[joint]` keep themselves.
+
+    Links of many arms pass within less than a millimetre of one another by design. An arm that
+    stands so must be able to leave.
+    """
+    gap = 0.9 * float(path_clearance(cell, np.asarray(ends)).min())
+    engine, clearance = min(checker.gap(q) for q in ends), config.check.clearance
+    return replace(
+        config,
+        searches=tuple(replace(s, margin=min(s.margin, gap)) for s in config.searches),
+        margin=min(config.margin, gap / 2),
+        tolerance=min(config.tolerance, gap / 4),
+        smoothing=replace(config.smoothing, margin=min(config.smoothing.margin, gap)),
+        check=replace(config.check, clearance=0.9 * engine if engine < clearance else clearance),
+    )
 
 
 def _near_home(cell: Workcell, start, goal) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -9,6 +9,7 @@ accelerations from differences of the timed points.
 # pyright: reportAttributeAccessIssue=false
 
 import copy
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import mujoco
@@ -188,26 +189,34 @@ class ConfigurationChecker:
 
     def collision(self, q: np.ndarray) -> str | None:
         """What touches what in a configuration `[joint]`, in words; None if nothing does."""
+        for gap, a, b in self._contacts(q):
+            if gap < self.config.clearance:
+                relation = "touches" if gap < 0 else "comes too close to"
+                return f"{self._named(a)} {relation} {self._named(b)}"
+        return None
+
+    def gap(self, q: np.ndarray) -> float:
+        """Smallest distance in a configuration `[joint]` [m], cut off at the clearance."""
+        return min((gap for gap, *_ in self._contacts(q)), default=self.config.clearance)
+
+    def _contacts(self, q: np.ndarray) -> Iterator[tuple[float, int, int]]:
+        """Distance [m] and both geoms of what is near each other and may not touch."""
         self.place(q)
         mujoco.mj_comPos(self.model, self.data)
         mujoco.mj_collision(self.model, self.data)
-        count = self.data.ncon
-        if not count:
-            return None
-        pairs = self.data.contact.geom[:count]
-        relevant = np.flatnonzero(self.moving[pairs[:, 0]] | self.moving[pairs[:, 1]])
-        for (a, b), gap in zip(pairs[relevant], self.data.contact.dist[relevant], strict=True):
-            if gap < self.config.clearance and self._counts(int(a), int(b)):
-                names = [self.model.geom(g).name or self._named_body(g) for g in (a, b)]
-                relation = "touches" if gap < 0 else "comes too close to"
-                return f"{names[0]} {relation} {names[1]}"
-        return None
+        if not self.data.ncon:
+            return
+        contact = self.data.contact
+        for (a, b), gap in zip(contact.geom.tolist(), contact.dist.tolist(), strict=True):
+            if (self.moving[a] or self.moving[b]) and self._counts(a, b):
+                yield gap, a, b
 
     def _body(self, geom: int) -> str:
         return self.model.body(self.model.geom_bodyid[geom]).name
 
-    def _named_body(self, geom: int) -> str:
-        return self._body(geom) or f"body #{self.model.geom_bodyid[geom]}"
+    def _named(self, geom: int) -> str:
+        number = self.model.geom_bodyid[geom]
+        return self.model.geom(geom).name or self._body(geom) or f"body #{number}"
 
     def _counts(self, a: int, b: int) -> bool:
         """Is contact of these two geoms a collision?"""
@@ -249,13 +258,8 @@ def pose_fault(
     """A sentence if a configuration `[joint]` misses a pose `[7]` [m, quaternion]; else None."""
     distance = float(np.linalg.norm(checker.position(q) - pose[:3]))
     config = checker.config
-    return _missed(
-        name,
-        distance,
-        checker.turned(q, pose[3:]),
-        config.position_tolerance,
-        config.rotation_tolerance,
-    )
+    turned, most = checker.turned(q, pose[3:]), config.position_tolerance
+    return _missed(name, distance, turned, most, config.rotation_tolerance)
 
 
 def passing_faults(
