@@ -100,7 +100,7 @@ def test_a_run_of_the_former_format_is_refused(tmp_path):
     values = json.loads(path.read_text())
     path.write_text(json.dumps({k: v for k, v in values.items() if k != "format"}))
     with pytest.raises(
-        RunFolderError, match="of format 1, this version reads 3: train the run anew"
+        RunFolderError, match="of format 1, this version reads 4: train the run anew"
     ):
         open_run(tmp_path)
     values["configuration"]["planner"]["labels"] = values["configuration"]["planner"].pop("path_ik")

@@ -28,9 +28,9 @@ _CONFIG = {
     "configuration": dict,
 }
 """Types of the fields of `config.json`."""
-FORMAT = 3
+FORMAT = 4
 """Version of `config.json`. Version 1 had no names of record kinds; in 1 and 2 the last stage was
-called `demo`."""
+called `demo`. Up to 3 the fallback had sizes of its own."""
 STAGES = ("map", "lfd", "drl", "switch", "showcase")
 """Stages of a run, in order."""
 
