@@ -33,8 +33,8 @@ from hybrid_jax.types import AnyArray, Record, Scene, Workcell, pytree
 WORKERS = 16
 """Branches that are walked at the same time; half of them grow each tree."""
 SAMPLES = 8
-"""Configurations of a branch that are checked in one call of the kernel. Easy motions are a few long
-branches: fewer configurations a call mean more calls there."""
+"""Configurations of a branch that are checked in one call of the kernel. Easy motions are a few
+long branches: fewer configurations a call mean more calls there."""
 CAPACITY = 16 * BLOCK
 """Largest number of nodes of each tree."""
 
