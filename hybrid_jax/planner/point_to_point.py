@@ -140,7 +140,8 @@ def plan_joint_motion(
     config = _kept_by(scene_cell, checker, ends, config)
     if config.check != checker.config:
         kept = 1e3 * config.check.clearance
-        note = f"{note} it keeps {kept:.2f} mm only, as start or goal are so close to a contact"
+        near = f"(it keeps {kept:.2f} mm only: start or goal are that close to a contact)"
+        note = f"{note} {near}".strip()
         checker = ConfigurationChecker(cell, config.check)
     result = _plan_between(scene_cell, checker, scene, start, goal, config, key)
     if result.status is Status.OK:

@@ -197,7 +197,7 @@ class ConfigurationChecker:
 
     def gap(self, q: np.ndarray) -> float:
         """Smallest distance in a configuration `[joint]` [m], cut off at the clearance."""
-        return min((gap for gap, *_ in self._contacts(q)), default=self.config.clearance)
+        return min([self.config.clearance, *(gap for gap, *_ in self._contacts(q))])
 
     def _contacts(self, q: np.ndarray) -> Iterator[tuple[float, int, int]]:
         """Distance [m] and both geoms of what is near each other and may not touch."""
