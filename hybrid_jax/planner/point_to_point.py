@@ -4,6 +4,7 @@
 This is the layer under the hybrid planner, without skills and agents, for any cell.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import jax
@@ -67,16 +68,20 @@ def find_path(
     Returns:
         Way points `[point, joint]` [rad or m]; None if no search finds a path.
     """
+    return next(_paths(cell, start, goal, config, key), None)
+
+
+def _paths(
+    cell: Workcell, start: np.ndarray, goal: np.ndarray, config: JointMotionConfig, key
+) -> Iterator[np.ndarray]:
+    """Paths as those of `find_path`, one of each search that finds one."""
     scene = jax.tree.map(lambda a: np.asarray(a)[None], cell.scene)
     ends = start[None].astype(np.float32), goal[None].astype(np.float32)
     for attempt, search in enumerate(config.searches):
         path = plan_paths(cell, scene, *ends, search, key=fold_in(key, attempt))[0]
-        if path is None:
-            continue
         # the search checks samples only and may step over a thin obstacle
-        if path_is_free(cell, path, config.margin, config.tolerance):
-            return path
-    return None
+        if path is not None and path_is_free(cell, path, config.margin, config.tolerance):
+            yield path
 
 
 def _admit(checker: ConfigurationChecker, cell: Workcell, start, goal):
@@ -195,12 +200,25 @@ def _plan_between(
     """A checked motion between two free configurations `[joint]`."""
     if np.abs(goal - start).max() < RESTING:
         return PlanResult(Status.OK, Status.OK.sentence, [resting(cell, start, goal, Source.RRT)])
-    path = find_path(cell, start, goal, config, key)
-    if path is None:
-        detail = f"no path was found from start to goal in {len(config.searches)} searches"
-        return PlanResult(Status.NO_PATH, detail)
-    # the search works in single precision: the ends are put back exactly
-    path = np.concatenate([start[None], path[1:-1], goal[None]])
+    detail = f"no path was found from start to goal in {len(config.searches)} searches"
+    result = PlanResult(Status.NO_PATH, detail)
+    for path in _paths(cell, start, goal, config, key):
+        # the search works in single precision: the ends are put back exactly
+        path = np.concatenate([start[None], path[1:-1], goal[None]])
+        result = _timed(cell, checker, scene, path, config)
+        if result.status is Status.OK:
+            break
+    return result
+
+
+def _timed(
+    cell: Workcell,
+    checker: ConfigurationChecker,
+    scene: PhaseScene,
+    path: np.ndarray,
+    config: JointMotionConfig,
+) -> PlanResult:
+    """A checked trajectory along a path `[point, joint]`, shortened if that succeeds."""
     shortened = smoothing.shortcut(cell, path, config.smoothing.margin, config.smoothing)
     result = PlanResult(Status.SEAM_FAILED, Status.SEAM_FAILED.sentence)
     for candidate in (shortened, path):
