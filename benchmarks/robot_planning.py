@@ -46,7 +46,7 @@ class Row:
 
     robot: str
     ours: bool
-    """Did we answer with a trajectory that touches nothing?"""
+    """Did we answer with a trajectory that touches nothing? False where we were not asked."""
     reason: str
     """Status and sentence of our answer."""
     our_seconds: float

@@ -145,7 +145,7 @@ def plan_joint_motion(
     config = _kept_by(scene_cell, checker, ends, config)
     if config.check != checker.config:
         kept = 1e3 * config.check.clearance
-        near = f"(it keeps {kept:.2f} mm only: start or goal are that close to a contact)"
+        near = f"(it keeps {kept:.2f} mm only, nine tenths of what start and goal have)"
         note = f"{note} {near}".strip()
         checker = ConfigurationChecker(cell, config.check)
     result = _plan_between(scene_cell, checker, scene, start, goal, config, key)
