@@ -10,10 +10,18 @@ from scipy.optimize import brentq
 from hybrid_jax.kernels.collision.clearance import clearance
 from hybrid_jax.planner import trajectory_check
 from hybrid_jax.planner.phase_scenes import home_scene, phase_scene
-from hybrid_jax.planner.point_to_point import JointMotionConfig, plan_joint_motion
+from hybrid_jax.planner.point_to_point import (
+    QUICK,
+    THOROUGH,
+    WIDE,
+    JointMotionConfig,
+    find_path,
+    plan_joint_motion,
+)
 from hybrid_jax.planner.rrt_connect import RrtConfig
 from hybrid_jax.planner.trajectory_check import PhaseScene
 from hybrid_jax.planner.trajectory_generation import motion_faults
+from hybrid_jax.runtime.kept_programs import traced
 from hybrid_jax.tasks.registry import random_task
 from hybrid_jax.types import Status, Trajectory
 from hybrid_jax.workcell.compile import compile_workcell
@@ -69,6 +77,15 @@ def test_a_joint_motion_goes_around_a_wall(balls):
     assert any(touches(balls.model, q) for q in straight)
     assert not any(touches(balls.model, q) for q in positions)
     assert np.abs(result.phases[0].velocities).max() <= 2.0
+
+
+def test_other_settings_of_the_search_trace_nothing(balls):
+    find_path(balls, START, GOAL, JointMotionConfig(searches=(QUICK,)), jax.random.key(0))
+    before = len(traced)
+    for search in (WIDE, THOROUGH):
+        config = JointMotionConfig(searches=(search,))
+        assert find_path(balls, START, GOAL, config, jax.random.key(1)) is not None
+    assert traced[before:] == []
 
 
 def test_what_touches_between_the_points_that_are_looked_at_is_refused(balls):
