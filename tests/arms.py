@@ -4,6 +4,8 @@
 import re
 from pathlib import Path
 
+from hull_shapes import can, write_stl
+
 from hybrid_jax.workcell.assets import robots_folder
 from hybrid_jax.workcell.diagnosis import WRONG, diagnose
 from hybrid_jax.workcell.load import load_workcell
@@ -59,4 +61,35 @@ def small_cell(path: Path) -> Path:
         '<geom name="wall" type="box" size=".05 .3 .3" pos=".55 .1 .3"/></worldbody>'
     )
     path.write_text(bare_arm(path).read_text().replace("</worldbody>", around))
+    return path
+
+
+MESH = '<collision><geometry><mesh filename="{name}"/></geometry></collision>'
+
+
+def package(folder, name="arm_description"):
+    """A ROS package with an arm of three meshes; the file of its URDF."""
+    root = folder / "some_folder"
+    for mesh in ("base", "upper"):
+        write_stl(root / "meshes" / f"{mesh}.stl", can(24, 0.06, 0.25))
+    (root / "package.xml").write_text(f"<package><name>{name}</name></package>")
+    part = lambda mesh: MESH.format(name=f"package://{name}/meshes/{mesh}.stl")  # noqa: E731
+    text = (
+        '<robot name="arm">'
+        + link("base", part("base"))
+        + link("upper", part("upper"))
+        + link("lower", part("upper"))
+        + link("flange")
+        + link("tool0")
+        + joint("j1", "base", "upper", limit='lower="-2" upper="2"').replace(".3 0 0", "0 0 .252")
+        + joint("j2", "upper", "lower", limit='lower="0.4" upper="2"')
+        .replace(".3 0 0", "0 0 .3")
+        .replace('axis xyz="0 0 1"', 'axis xyz="0 1 0"')
+        + joint("j3", "lower", "flange", "continuous", "").replace(".3 0 0", "0 0 .3")
+        + joint("f", "flange", "tool0", "fixed", "").replace(".3 0 0", "0 0 .05")
+        + "</robot>"
+    )
+    path = root / "urdf" / "arm.urdf"
+    path.parent.mkdir()
+    path.write_text(text)
     return path

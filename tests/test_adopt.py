@@ -2,64 +2,22 @@
 """Adopting robots: what a vendor's file lacks is found, stated, and written beside it."""
 
 import json
-from dataclasses import replace
 
 import jax
 import mujoco
 import numpy as np
 import pytest
-from arms import joint, link
-from test_convex_hulls import can
+from arms import package
+from hull_shapes import can, write_stl
 
 from hybrid_jax import check
 from hybrid_jax.adopt import __main__ as command
 from hybrid_jax.adopt.adoption import AdoptionOptions, adopt
-from hybrid_jax.adopt.semantic_description import read_srdf
-from hybrid_jax.errors import UnknownNameError, WorkcellError
-from hybrid_jax.kernels.kinematics import tool_pose
+from hybrid_jax.errors import WorkcellError
 from hybrid_jax.planner.point_to_point import plan_joint_motion
 from hybrid_jax.types import Status
 from hybrid_jax.workcell.diagnosis import WRONG, diagnose
 from hybrid_jax.workcell.load import load_workcell
-
-
-def write_stl(path, vertices):
-    """The hull of some vertices as a binary STL file."""
-    import trimesh
-
-    path.parent.mkdir(parents=True, exist_ok=True)
-    trimesh.convex.convex_hull(vertices).export(path)
-
-
-MESH = '<collision><geometry><mesh filename="{name}"/></geometry></collision>'
-
-
-def package(folder, name="arm_description"):
-    """A ROS package with an arm of three meshes; the file of its URDF."""
-    root = folder / "some_folder"
-    for mesh in ("base", "upper"):
-        write_stl(root / "meshes" / f"{mesh}.stl", can(24, 0.06, 0.25))
-    (root / "package.xml").write_text(f"<package><name>{name}</name></package>")
-    part = lambda mesh: MESH.format(name=f"package://{name}/meshes/{mesh}.stl")  # noqa: E731
-    text = (
-        '<robot name="arm">'
-        + link("base", part("base"))
-        + link("upper", part("upper"))
-        + link("lower", part("upper"))
-        + link("flange")
-        + link("tool0")
-        + joint("j1", "base", "upper", limit='lower="-2" upper="2"').replace(".3 0 0", "0 0 .252")
-        + joint("j2", "upper", "lower", limit='lower="0.4" upper="2"')
-        .replace(".3 0 0", "0 0 .3")
-        .replace('axis xyz="0 0 1"', 'axis xyz="0 1 0"')
-        + joint("j3", "lower", "flange", "continuous", "").replace(".3 0 0", "0 0 .3")
-        + joint("f", "flange", "tool0", "fixed", "").replace(".3 0 0", "0 0 .05")
-        + "</robot>"
-    )
-    path = root / "urdf" / "arm.urdf"
-    path.parent.mkdir()
-    path.write_text(text)
-    return path
 
 
 def test_a_urdf_of_a_package_becomes_a_cell(tmp_path):
@@ -142,143 +100,6 @@ def test_a_text_stl_and_a_collada_file_are_read(tmp_path):
     path.write_text(path.read_text().replace("upper.stl", "upper.dae"))
     cell = load_workcell(adopt(path, tmp_path / "cell").path)
     assert cell.robot.shapes.used == 2 and cell.fixtures.used == 1
-
-
-def test_a_srdf_names_pairs_and_the_tool(tmp_path):
-    srdf = tmp_path / "arm.srdf"
-    srdf.write_text(
-        '<robot name="arm"><group name="hand"><joint name="x"/></group>'
-        '<group name="whole"><group name="arm"/></group>'
-        '<group name="two"><link name="tool0"/><link name="other"/></group>'
-        '<group name="arm"><chain base_link="base" tip_link="flange"/></group>'
-        '<disable_collisions link1="base" link2="lower" reason="Never"/>'
-        '<disable_collisions link1="base" link2="nothing" reason="Never"/></robot>'
-    )
-    options = AdoptionOptions(group="arm", srdf=srdf)
-    adopted = adopt(package(tmp_path), tmp_path / "cell", options)
-    text = " | ".join(adopted.notes)
-    assert "the tool is the link 'flange'" in text and "'base' and 'lower' may touch" in text
-    assert "nothing" not in text
-    with pytest.raises(UnknownNameError, match="arm"):
-        read_srdf(srdf).group("leg")
-    assert read_srdf(srdf).group("whole").chains == (("base", "flange"),)
-    empty = adopt(package(tmp_path / "b"), tmp_path / "c", replace(options, group="hand"))
-    assert empty.path is None and "no joint or link" in empty.findings[0].text
-    lost = adopt(package(tmp_path / "d"), tmp_path / "e", replace(options, group="two"))
-    assert "'other'" in lost.findings[0].text
-
-
-def test_joints_that_are_not_of_the_group_are_held(tmp_path):
-    """The arm alone, on a column that stays where it is; forward kinematics by C MuJoCo."""
-    srdf = tmp_path / "arm.srdf"
-    srdf.write_text(
-        '<robot name="arm"><group name="arm"><joint name="j3"/><joint name="j2"/></group></robot>'
-    )
-    path = package(tmp_path)
-    options = AdoptionOptions(group="arm", srdf=srdf, tool="tool0")
-    adopted = adopt(path, tmp_path / "cell", options)
-    cell = load_workcell(adopted.path)
-    assert cell.joint_names == ("j2", "j3")
-    assert any("'j1' is held at 0" in note for note in adopted.notes)
-    whole = load_workcell(adopt(path, tmp_path / "whole").path)
-    q = np.array([0.8, 0.3], np.float32)
-    here, there = tool_pose(cell, q), tool_pose(whole, np.r_[np.float32(0), q])
-    np.testing.assert_allclose(here, there, atol=1e-5)
-
-
-def test_a_group_of_two_arms_is_no_arm(tmp_path):
-    srdf = tmp_path / "arm.srdf"
-    srdf.write_text(
-        '<robot name="arm"><group name="both"><link name="tool0"/><link name="side"/></group>'
-        "</robot>"
-    )
-    path = package(tmp_path)
-    path.write_text(
-        path.read_text().replace(
-            "</robot>", link("side") + joint("s", "lower", "side", "fixed", "") + "</robot>"
-        )
-    )
-    text = adopt(path, tmp_path / "cell", AdoptionOptions(group="both", srdf=srdf)).findings[0].text
-    assert "tool0" in text and "side" in text and "no single arm" in text
-
-
-def test_a_tool_that_is_not_told_is_asked_for(tmp_path):
-    path = package(tmp_path)
-    text = path.read_text().replace("tool0", "left_end")
-    path.write_text(
-        text.replace(
-            "</robot>",
-            link("right_end") + joint("g", "flange", "right_end", "fixed", "") + "</robot>",
-        )
-    )
-    adopted = adopt(path, tmp_path / "cell")
-    assert adopted.path is None
-    assert "left_end, right_end" in adopted.findings[0].text
-    assert "--tool" in adopted.findings[0].text
-    assert adopt(path, tmp_path / "cell", AdoptionOptions(tool="right_end")).fit
-
-
-AROUND = """
-[[fixtures]]
-name = "table"
-box = [0.3, 0.3, 0.02]
-position = [0.9, 0, 0.1]
-[[fixtures]]
-name = "stand"
-file = "stand.stl"
-scale = 0.001
-position = [-0.9, 0, 0]
-[[fixtures]]
-name = "rack"
-file = "rack.xml"
-position = [0, -1.2, 0]
-euler = [0, 0, 90]
-[[objects]]
-name = "can"
-cylinder = [0.03, 0.05]
-position = [0.9, 0.1, 0.171]
-mass = 0.4
-"""
-
-
-def test_fixtures_and_objects_stand_around_it(tmp_path):
-    write_stl(tmp_path / "stand.stl", 1000 * can(12, 0.1, 0.4))
-    (tmp_path / "around.toml").write_text(AROUND)
-    (tmp_path / "rack.xml").write_text(
-        '<mujoco><worldbody><body name="shelf" pos=".1 0 .5"><geom type="box" size=".2 .1 .01"/>'
-        "</body></worldbody></mujoco>"
-    )
-    options = AdoptionOptions(fixtures=(tmp_path / "around.toml",))
-    adopted = adopt(package(tmp_path), tmp_path / "cell", options)
-    cell = load_workcell(adopted.path)
-    np.testing.assert_allclose(cell.model.body("rack_shelf").pos, [0, -1.1, 0.5], atol=1e-6)
-    assert cell.fixtures.used == 4 and cell.source.layout.object_names == ("can",)
-    model = cell.model
-    assert model.body("can").mass[0] == pytest.approx(0.4)
-    assert np.ptp(model.mesh_vert[:, 2]) < 1  # the stand's millimetres are metres
-    place = np.asarray(cell.scene.objects.pose)[0, :3]
-    np.testing.assert_allclose(place, [0.9, 0.1, 0.171], atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    "line, words",
-    [
-        ("[[fixtures]]\nbox = [1, 1, 1]", "needs a name"),
-        ('[[fixtures]]\nname = "a"', "needs one of"),
-        ('[[fixtures]]\nname = "a"\nbox = [1, -1, 1]', "must be positive"),
-        ('[[fixtures]]\nname = "a"\nbox = [1, 1]', "3 numbers"),
-        ('[[fixtures]]\nname = "a"\nbox = [1, 1, 1]\npositon = [0, 0, 0]', "positon"),
-        ('[[fixtures]]\nname = "a"\nfile = "none.stl"', "none.stl"),
-        ('[[fixtures]]\nname = "a"\nbox = [1, 1, 1]\neuler = ["x", 0, 0]', "euler"),
-        ("[[walls]]\nname = 'a'", "walls"),
-        ("name =", "no TOML"),
-    ],
-)
-def test_a_wrong_fixture_is_named(tmp_path, line, words):
-    (tmp_path / "around.toml").write_text(line)
-    options = AdoptionOptions(fixtures=(tmp_path / "around.toml",))
-    adopted = adopt(package(tmp_path), tmp_path / "cell", options)
-    assert adopted.path is None and words in adopted.findings[0].text
 
 
 def test_a_mjcf_keeps_its_home_and_its_other_tool(tmp_path):
