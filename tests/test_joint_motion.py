@@ -11,6 +11,7 @@ from hybrid_jax.kernels.collision.clearance import clearance
 from hybrid_jax.planner import trajectory_check
 from hybrid_jax.planner.phase_scenes import home_scene, phase_scene
 from hybrid_jax.planner.point_to_point import (
+    LONG,
     QUICK,
     THOROUGH,
     WIDE,
@@ -82,7 +83,7 @@ def test_a_joint_motion_goes_around_a_wall(balls):
 def test_other_settings_of_the_search_trace_nothing(balls):
     find_path(balls, START, GOAL, JointMotionConfig(searches=(QUICK,)), jax.random.key(0))
     before = len(traced)
-    for search in (WIDE, THOROUGH):
+    for search in (WIDE, THOROUGH, LONG):
         config = JointMotionConfig(searches=(search,))
         assert find_path(balls, START, GOAL, config, jax.random.key(1)) is not None
     assert traced[before:] == []

@@ -32,13 +32,15 @@ WIDE = replace(QUICK, calls=1000, spread=np.inf)
 """A search in all of joint space."""
 THOROUGH = replace(WIDE, calls=2000, spacing=QUICK.spacing / 2)
 """The same in steps so small that they seldom miss a thin obstacle."""
+LONG = replace(WIDE, calls=8000)
+"""A search of large trees, for pockets that are hard to leave and to enter."""
 
 
 @dataclass(frozen=True)
 class JointMotionConfig:
     """Settings of motions from one configuration to another."""
 
-    searches: tuple[RrtConfig, ...] = (QUICK, WIDE, THOROUGH, THOROUGH)
+    searches: tuple[RrtConfig, ...] = (QUICK, WIDE, THOROUGH, THOROUGH, LONG)
     """Tried in turn, each with a random key of its own."""
     margin: float = 0.0002
     """Clearance that a path must be proven to keep on all its edges [m]."""

@@ -35,7 +35,7 @@ WORKERS = 16
 SAMPLES = 8
 """Configurations of a branch that are checked in one call of the kernel. Easy motions are a few
 long branches: fewer configurations a call mean more calls there."""
-CAPACITY = 16 * BLOCK
+CAPACITY = 64 * BLOCK
 """Largest number of nodes of each tree."""
 
 
@@ -141,9 +141,14 @@ def _next_branches(
 
 
 def _advance(cell: Workcell, settings: _Settings, search: _Search, key: Array) -> _Search:
-    """Walk on along all branches, add nodes to the trees, and begin the next branches."""
+    """Walk on along all branches, add nodes to the trees, and begin the next branches.
+
+    A search that is solved stays as it is, while others in lockstep go on.
+    """
     branches = search.branches
     walked, blocked, arrived = _walk(cell, branches, settings)
+    # as masks of the few changes: choosing between old and new trees would copy both
+    blocked, arrived = blocked & ~search.solved, arrived & ~search.solved
     to_sample, finished = branches.meets < 0, blocked | arrived
     joined, failed = arrived & ~to_sample, blocked & to_sample & (walked <= 0)
     trees = adapted(
@@ -160,10 +165,11 @@ def _advance(cell: Workcell, settings: _Settings, search: _Search, key: Array) -
     pick = lambda a, b: jnp.where(finished.reshape(-1, *[1] * (a.ndim - 1)), a, b)  # noqa: E731
     winner = jnp.argmax(joined)
     pair = jnp.stack([branches.parent[winner], branches.meets[winner]])
+    pair = jnp.where(branches.tree[winner] == 0, pair, pair[::-1])
     return larger.replace(
         branches=jax.tree.map(pick, next_branches, continued),
-        solved=jnp.any(joined),
-        join=jnp.where(branches.tree[winner] == 0, pair, pair[::-1]),
+        solved=search.solved | jnp.any(joined),
+        join=jnp.where(search.solved, search.join, pair),
     )
 
 
@@ -199,9 +205,7 @@ def _search(cell: Workcell, scenes: Scene, starts, goals, keys, settings: _Setti
 
         def advance_problem(scene, search, key):
             problem_cell = cell.replace(scene=scene)
-            advanced = _advance(problem_cell, settings, search, jax.random.fold_in(key, call))
-            # a solved problem stays as it is while the others go on
-            return jax.tree.map(lambda a, b: jnp.where(search.solved, a, b), search, advanced)
+            return _advance(problem_cell, settings, search, jax.random.fold_in(key, call))
 
         return call + 1, jax.vmap(advance_problem)(scenes, searches, keys)
 

@@ -130,7 +130,7 @@ def adapted(
     factor = 1.0 + ADAPTATION * (went.astype(jnp.float32) - failed)
     # products do not depend on the order of branches that began at the same node
     scaled = capped.at[tree, node].multiply(factor)
-    return trees.replace(domain=jnp.maximum(scaled, LEAST_DOMAIN))
+    return trees.replace(domain=scaled.at[tree, node].max(LEAST_DOMAIN))
 
 
 def drawn(
