@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import oracles
 import pytest
+from scipy.spatial import ConvexHull
 
 from hybrid_jax.kernels.collision.clearance import clearance
 from hybrid_jax.workcell import approximation
@@ -47,6 +48,18 @@ def test_boxes_of_a_cylinder_contain_it_and_little_more(radius):
     assert excess <= max(1e-3, 0.0087 * radius)
 
 
+@pytest.mark.parametrize("radius", [0.02, 0.1, 0.5])
+def test_a_prism_contains_its_cylinder_and_little_more(radius):
+    corners = approximation.prism(radius, 0.2)
+    assert approximation.prism(radius, 0.2) is corners
+    np.testing.assert_allclose(np.abs(corners).max(axis=0), [radius, radius, 0.2], rtol=1e-9)
+    planes = ConvexHull(corners).equations
+    sides = planes[np.abs(planes[:, 2]) < 0.5]
+    # the axis is as far from every side as the cylinder's surface, and no corner is much farther
+    np.testing.assert_allclose(-sides[:, 3], radius, rtol=1e-9)
+    assert np.linalg.norm(corners[:, :2], axis=1).max() < 1.0022 * radius
+
+
 @pytest.mark.parametrize("half", [(0.1, 0.05, 0.05), (0.03, 0.08, 0.05), (0.04, 0.04, 0.04)])
 def test_the_solid_around_an_ellipsoid_contains_it_and_little_more(half):
     ((_, box, radius),) = approximation.ellipsoid(np.array(half))
@@ -82,6 +95,11 @@ def wedge():
     )
 
 
+WEDGE = '<asset><mesh name="m" vertex="{}"/></asset>'.format(
+    " ".join(f"{v:.5f}" for v in wedge().ravel())
+)
+
+
 @pytest.mark.parametrize(
     "world, asset, excess",
     [
@@ -89,13 +107,17 @@ def wedge():
         ('<geom type="plane" size="1 1 1" pos="0 0 .1"/>', "", 1e-5),
         (
             '<geom type="mesh" mesh="m" pos=".5 -.35 .4" euler="10 50 0"/>',
-            '<asset><mesh name="m" vertex="{}"/></asset>'.format(
-                " ".join(f"{v:.5f}" for v in wedge().ravel())
-            ),
+            WEDGE,
             1e-3,
         ),
+        (
+            '<geom type="cylinder" size=".1 .3" pos=".5 .45 .3" euler="20 30 0"/>'
+            '<geom type="mesh" mesh="m" pos=".5 -.35 .4" euler="10 50 0"/>',
+            WEDGE,
+            3e-4,
+        ),
     ],
-    ids=["cylinder", "plane", "mesh"],
+    ids=["cylinder", "plane", "mesh", "cylinder beside a mesh"],
 )
 def test_clearance_is_at_most_the_engines_and_less_by_no_more_than_stated(
     tmp_path, world, asset, excess

@@ -23,8 +23,8 @@ _HULLS, _SLICES, _FACES = 4, 1024, 64
 """The tables have multiples of these sizes, so that cells share their programs."""
 _SHARES = 0.4, 0.2, 0.1
 """Shares of the excess that is allowed, tried in turn while the hull has few vertices."""
-_PLENTY = 260
-"""Vertices from which on no smaller excess is tried. Below, more of them cost next to nothing."""
+_PLENTY = 800
+"""Vertices from which on no smaller excess is tried: tables grow, and looks take longer."""
 _CUBE = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
 
 
@@ -93,20 +93,28 @@ def _frame(hull: ConvexHull) -> np.ndarray:
     return frame * np.sign(np.linalg.det(frame))
 
 
-def _fewer(points: np.ndarray, excess: float) -> tuple[np.ndarray, float]:
-    """Some of the vertices of a hull, and how far the others stand out of theirs [m].
+def _spread(points: np.ndarray) -> np.ndarray:
+    """Numbers of some vertices `[n, 3]` that span a solid; of all, where the extremes do not."""
+    extremes = np.concatenate([points.argmin(axis=0), points.argmax(axis=0)])
+    far = np.argmax(np.linalg.norm(points[:, None] - points[extremes], axis=2).min(axis=1))
+    chosen = np.unique([*extremes, far])
+    spans = np.linalg.matrix_rank(points[chosen] - points[chosen].mean(axis=0), tol=1e-9) == 3
+    return chosen if spans else np.arange(len(points))
+
+
+def _fewer(
+    points: np.ndarray, excess: float, chosen: np.ndarray | None = None
+) -> tuple[np.ndarray, float]:
+    """Numbers of some vertices of a hull, and how far the others stand out of theirs [m].
 
     In each round every face of what was chosen gets the vertex that is farthest outside of it.
 
     Args:
         points: `[n, 3]` vertices of a hull [m].
         excess: how far they may stand out [m].
+        chosen: vertices to begin with; a few if None.
     """
-    extremes = np.concatenate([points.argmin(axis=0), points.argmax(axis=0)])
-    far = np.argmax(np.linalg.norm(points[:, None] - points[extremes], axis=2).min(axis=1))
-    chosen = np.unique([*extremes, far])
-    if np.linalg.matrix_rank(points[chosen] - points[chosen].mean(axis=0), tol=1e-9) < 3:
-        return points, 0.0
+    chosen = _spread(points) if chosen is None else chosen
     while True:
         hull = ConvexHull(points[chosen])
         outside = points @ hull.equations[:, :3].T + hull.equations[:, 3]
@@ -123,8 +131,8 @@ def _fewer(points: np.ndarray, excess: float) -> tuple[np.ndarray, float]:
         distance[i] = distance_to_hull(points[left_out[i]], points[chosen])
     radius = float(distance.max(initial=0.0))
     if radius > excess:
-        return _fewer(points, 0.7 * excess)
-    return points[chosen], radius
+        return _fewer(points, 0.7 * excess, chosen)
+    return chosen, radius
 
 
 def _triangle_distance(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -167,9 +175,9 @@ def _polytope(content: bytes, excess: float) -> Polytope | None:
     for share in _SHARES:
         if len(kept) > _PLENTY or share * excess < 10 * TIE:
             break
-        kept, radius = _fewer(vertices, share * excess - 2 * TIE)
+        kept, radius = _fewer(vertices, share * excess - 2 * TIE, kept)
     # along a direction between corners of a cell a tie counts a little more than along these
-    return Polytope(pose, half, kept, radius + 2 * TIE)
+    return Polytope(pose, half, vertices[kept], radius + 2 * TIE)
 
 
 def polytope(vertices: np.ndarray, excess: float, label: str) -> Polytope:

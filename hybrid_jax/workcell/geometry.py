@@ -118,6 +118,11 @@ def pierces(model: mujoco.MjModel, data: mujoco.MjData, capsule: int, box: int) 
     return low < high
 
 
+def _has_meshes(model) -> bool:
+    """Are there meshes among what can touch something?"""
+    return any(model.geom_type[g] == MESH for g in touching_geoms(model))
+
+
 def _local(model, geom: int, tolerance: float) -> list[tuple]:
     """Primitives of a geom in its own frame: pose, half extents `[3]` [m], radius [m], vertices."""
     kind, size = int(model.geom_type[geom]), model.geom_size[geom]
@@ -130,6 +135,10 @@ def _local(model, geom: int, tolerance: float) -> list[tuple]:
         return [(identity, tuple(size), 0.0)]
     if kind == PLANE:
         return [(pose_of([0, 0, -PLANE_HALF[2]], [1, 0, 0, 0]), PLANE_HALF, 0.0)]
+    if kind == CYLINDER and _has_meshes(model):
+        # a cell of meshes has the programs for polytopes already: one is closer than many boxes
+        corners = approximation.prism(float(size[0]), float(size[1]))
+        return [(identity, (size[0], size[0], size[1]), 0.0, corners)]
     if kind == CYLINDER:
         return approximation.cylinder(size[0], size[1])
     if kind == ELLIPSOID:
