@@ -127,12 +127,13 @@ def test_clearance_is_at_most_the_engines_and_less_by_no_more_than_stated(
     low, high = np.asarray(cell.joint_limits).T
     q = rng.uniform(low, high, (150, 3)).astype(np.float32)
     got = np.asarray(jax.jit(jax.vmap(lambda one: clearance(cell, one)))(jnp.asarray(q)))
+    fixtures, links = np.split(np.arange(cell.model.ngeom), [-2])
     apart = 0
     for row, gap in zip(q, got, strict=True):
         data = oracles.cell_data(cell, row)
         wanted = min(
-            mujoco.mj_geomDistance(cell.model, data, 0, g, 5.0, None)
-            for g in range(1, cell.model.ngeom)
+            mujoco.mj_geomDistance(cell.model, data, fixture, link, 5.0, None)
+            for fixture, link in itertools.product(fixtures, links)
         )
         if wanted > excess:
             assert wanted - excess - 2e-4 <= gap <= wanted + 2e-4
