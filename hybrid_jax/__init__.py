@@ -5,11 +5,20 @@ import ctypes.util as _ctypes_util
 import os as _os
 import sys as _sys
 
-if "MUJOCO_GL" not in _os.environ and _sys.platform == "linux" and not _os.environ.get("DISPLAY"):
-    # MuJoCo picks its off-screen renderer when it is first imported
-    _found = [name for name in ("EGL", "OSMesa") if _ctypes_util.find_library(name)]
+# MuJoCo picks its off-screen renderer when it is first imported
+_RENDERERS = {"egl": "EGL", "osmesa": "OSMesa"}
+_asked = _os.environ.get("MUJOCO_GL", "").lower()
+if _sys.platform == "linux" and _asked in _RENDERERS:
+    if not _ctypes_util.find_library(_RENDERERS[_asked]):
+        # importing MuJoCo would end in an error of another package
+        _sys.stderr.write(
+            f"MUJOCO_GL={_asked}: lib{_RENDERERS[_asked]} is not installed, nothing is drawn\n"
+        )
+        del _os.environ["MUJOCO_GL"]
+elif _sys.platform == "linux" and not (_asked or _os.environ.get("DISPLAY")):
+    _found = [name for name, library in _RENDERERS.items() if _ctypes_util.find_library(library)]
     if _found:
-        _os.environ["MUJOCO_GL"] = _found[0].lower()
+        _os.environ["MUJOCO_GL"] = _found[0]
 
 __version__ = "0.1.0"
 

@@ -70,3 +70,17 @@ def test_a_wrong_fixture_is_named(tmp_path, line, words):
     options = AdoptionOptions(fixtures=(tmp_path / "around.toml",))
     adopted = adopt(package(tmp_path), tmp_path / "cell", options)
     assert adopted.path is None and words in adopted.findings[0].text
+
+
+def test_objects_that_the_tool_cannot_point_down_at_are_said(tmp_path):
+    """An arm of three joints that turns about one axis only."""
+    (tmp_path / "around.toml").write_text(
+        'table = "table"\n[[fixtures]]\nname = "table"\nbox = [0.3, 0.3, 0.02]\n'
+        'position = [9.0, 0, 0.1]\n[[trays]]\nname = "tray"\nhalf_size = [0.1, 0.1]\n'
+        'position = [9.0, 0, 0.12]\n[[objects]]\nname = "part"\nkind = "block"\n'
+        'box = [0.02, 0.02, 0.02]\nposition = [9.0, 0.2, 0.14]\ntray = "tray"\nslot = [0, 0, 0]\n'
+    )
+    options = AdoptionOptions(gripper="robotiq_2f85", fixtures=(tmp_path / "around.toml",))
+    adopted = adopt(package(tmp_path), tmp_path / "cell", options)
+    assert adopted.path is not None, adopted.findings
+    assert any("no home is free whose tool points down" in note for note in adopted.notes)

@@ -38,6 +38,13 @@ def test_import_is_quick():
     assert min(times) < 1.5
 
 
+def test_a_renderer_that_is_not_installed_is_said_and_does_without():
+    none = "import ctypes.util; ctypes.util.find_library = lambda name: None;"
+    done = run(none + "import hybrid_jax, mujoco", MUJOCO_GL="osmesa")
+    assert done.returncode == 0, done.stderr
+    assert "MUJOCO_GL=osmesa: libOSMesa is not installed" in done.stderr
+
+
 def test_nothing_is_printed_without_need(tmp_path):
     done = run(
         "import hybrid_jax.agents.ppo, hybrid_jax.mjx.physics, hybrid_jax.planner.pipeline;" + USE,

@@ -35,14 +35,23 @@ def find_home(
         The whole `qpos` `[nq]`, None where none is free, and a sentence; empty where the model's
         own home is kept.
     """
+    if objects:
+        home = _ready_home(model, layout, home_qpos(model), objects)
+        if home is not None:
+            return home, _sentence(layout, home, "the tool points down over the objects")
+    home, note = _near_stated(model, layout, is_stated)
+    missed = "no home is free whose tool points down over the objects" if objects else ""
+    return home, "; ".join(filter(None, (note, missed)))
+
+
+def _near_stated(
+    model: mujoco.MjModel, layout: Layout, is_stated: bool
+) -> tuple[np.ndarray | None, str]:
+    """A free configuration near the home of a model; see `find_home`."""
     joints, address = list(layout.joints), list(layout.qpos)
     limited = model.jnt_limited[joints].astype(bool)[:, None]
     low, high = np.where(limited, model.jnt_range[joints], [-np.pi, np.pi]).T
     stated, inset = home_qpos(model), INSET * (high - low)
-    if objects:
-        home = _ready_home(model, layout, stated, objects)
-        if home is not None:
-            return home, _sentence(layout, home, "the tool points down over the objects")
     first = stated[address]
     if ((first < low) | (first > high)).any():
         first = np.clip(first, low + inset, high - inset)
@@ -87,7 +96,7 @@ def _ready_home(
     mujoco.mj_kinematics(model, data)
     pose = ready_pose(data.xanchor[layout.joints[0]], data.xpos[objects])
     found = configurations_at(model, layout, pose, stated)
-    for clearance in (*WANTED, CLEARANCES[0]):
+    for clearance in (*WANTED, *CLEARANCES):
         home = _first_free(model, layout, stated, found, clearance)
         if home is not None:
             return home
