@@ -2,7 +2,7 @@
 """Joint starts to joint goals: public problems of MotionBenchMaker, against OMPL.
 
     python -m benchmarks.motion_bench_maker --json FILE
-    python -m benchmarks.motion_bench_maker --robot fetch --json FILE
+    python -m benchmarks.motion_bench_maker --robot fetch --every 10 --first 5 --json FILE
 
 Both take turns on each problem, in the same process: our RRT-Connect with its proof, compiled, and
 OMPL's RRT-Connect with C MuJoCo as its checker. Every path of both is checked again by C MuJoCo,
@@ -212,6 +212,7 @@ def main(
     robot: Literal["panda", "fetch"] = "panda",
     folder: Path | None = None,
     every: int = 1,
+    first: int = 0,
     tiny: bool = False,
 ) -> None:
     """Print all figures.
@@ -221,6 +222,7 @@ def main(
         robot: whose problems are planned.
         folder: with the problems; where they usually are if None.
         every: take each n-th problem of a scene only.
+        first: number of the first of them, from 0 to `every` - 1.
         tiny: as little of everything as shows that it runs.
     """
     every, folder = 50 if tiny else every, folder or FOLDERS[robot]
@@ -232,7 +234,7 @@ def main(
             "the project; give their folder by --folder."
         )
         return
-    problems = free_ends(read_problems(folder, every))
+    problems = free_ends(read_problems(folder, every, first))
     write(figures(*compare(problems), PREFIXES[robot]), json)
 
 

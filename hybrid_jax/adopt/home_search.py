@@ -6,14 +6,15 @@ import copy
 import mujoco
 import numpy as np
 
-from hybrid_jax.adopt.ready_pose import configurations_at, ready_pose
+from hybrid_jax.adopt.ready_pose import PLACES, configurations_at, ready_pose
 from hybrid_jax.workcell.allowed_collisions import forbidden_contacts, overlaps, pierced
 from hybrid_jax.workcell.layout import Layout, home_qpos
 
 CLEARANCES = 0.01, 0.003
 """Distance that a home keeps from everything, and what suffices where none does [m]."""
 WANTED = 0.1, 0.03
-"""What a home over objects keeps where it can: an elbow that is up does [m]."""
+"""What a home over objects keeps where it can: an elbow that is up does [m]. The planner keeps 4 mm
+along the way, and a home with less has a way out that is hard to find."""
 TRIES = 1000
 """Configurations that are tried, further and further from where the model says."""
 INSET = 0.05
@@ -94,10 +95,16 @@ def _ready_home(
     data = mujoco.MjData(model)
     data.qpos[:] = stated
     mujoco.mj_kinematics(model, data)
-    pose = ready_pose(data.xanchor[layout.joints[0]], data.xpos[objects])
-    found = configurations_at(model, layout, pose, stated)
-    for clearance in (*WANTED, *CLEARANCES):
-        home = _first_free(model, layout, stated, found, clearance)
+    base, found = data.xanchor[layout.joints[0]], []
+    for place in PLACES:
+        pose = ready_pose(base, data.xpos[objects], *place)
+        found.append(configurations_at(model, layout, pose, stated))
+        for clearance in WANTED:
+            home = _first_free(model, layout, stated, found[-1], clearance)
+            if home is not None:
+                return home
+    for clearance in CLEARANCES:
+        home = _first_free(model, layout, stated, np.concatenate(found), clearance)
         if home is not None:
             return home
     return None

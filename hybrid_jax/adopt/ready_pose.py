@@ -8,21 +8,25 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from hybrid_jax.workcell.layout import Layout
 
-BACK, ABOVE = 0.25, 0.4
-"""How far the tool is before the middle of the objects, towards the base, and above it [m]. The
-shipped demonstrations begin about there."""
+PLACES = (0.25, 0.4), (0.15, 0.4), (0.05, 0.4), (0.15, 0.5), (0.15, 0.3)
+"""How far the tool is before the middle of the objects, towards the base, and above it [m]: the
+first that the arm need not fold itself up for. The shipped demonstrations begin about the first."""
 SEEDS, STEPS = 24, 80
 """Configurations that the search starts from, and steps of each."""
 PRECISION = 1e-3
 """Error at which a configuration counts as found [m and rad]."""
 
 
-def ready_pose(base: np.ndarray, objects: np.ndarray) -> RigidTransform:
+def ready_pose(
+    base: np.ndarray, objects: np.ndarray, before: float, above: float
+) -> RigidTransform:
     """Pose of the tool, its z axis down and its x axis away from the base.
 
     Args:
         base: `[3]` position of the arm's first joint [m].
         objects: `[n, 3]` positions of the objects [m].
+        before: distance from their middle towards the base [m].
+        above: height above their middle [m].
     """
     middle = objects.mean(axis=0)
     ahead = np.append((middle - base)[:2], 0.0)
@@ -31,7 +35,7 @@ def ready_pose(base: np.ndarray, objects: np.ndarray) -> RigidTransform:
     down = np.array([0.0, 0.0, -1.0])
     axes = np.stack([ahead, np.cross(down, ahead), down], axis=1)
     # not behind the base
-    position = middle - min(BACK, 0.5 * distance) * ahead + [0, 0, ABOVE]
+    position = middle - min(before, 0.5 * distance) * ahead + [0, 0, above]
     return RigidTransform.from_components(position, Rotation.from_matrix(axes))
 
 
