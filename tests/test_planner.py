@@ -212,6 +212,7 @@ def test_a_seam_that_keeps_no_margin_is_reported(planner, planned):
     config = replace(planner.config, smoothing=replace(planner.config.smoothing, margin=0.04))
     result = plan_motion(replace(planner, config=config), planned[0], key=jax.random.key(0))
     assert result.status is Status.SEAM_FAILED and result.detail.startswith("phase 0")
+    assert "mm of clearance are left on the way, and 40 mm are kept" in result.detail
 
 
 def test_what_the_final_check_rejects_is_not_returned(planner, planned):

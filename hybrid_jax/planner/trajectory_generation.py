@@ -229,11 +229,12 @@ def finish_phases(
     cell, scenes = planner.cell, first_scenes(drafts)
     measure = measure_in_scenes(cell, scenes)
     paths = [_candidates(planner, phase) for phase in phase_paths(planner, drafts, measure)]
-    pending = list(range(len(drafts)))
+    pending, tried = list(range(len(drafts))), {}
     while pending:
         # the next path of every phase that has no trajectory yet, as far as there is one
         candidates = {i: path for i in pending if (path := next(paths[i], None)) is not None}
         pending = list(candidates)
+        tried |= candidates
         motions = _moving(planner, drafts, candidates, measure)
         free = _proven(cell, checker, scenes, motions)
         for i, motion in motions.items():
@@ -241,7 +242,22 @@ def finish_phases(
             faults = find_faults(scene_cell, checker, draft.task, draft.number, motion, free[i])
             outcomes[i] = Fault(Status.COLLISION, "; ".join(faults)) if faults else motion
         pending = [i for i in pending if isinstance(outcomes[i], Fault)]
+    for i, (q, _) in tried.items():
+        outcome = outcomes[i]
+        if isinstance(outcome, Fault) and outcome.status is Status.SEAM_FAILED:
+            outcomes[i] = Fault(outcome.status, outcome.detail + _lack(planner, measure, i, q))
     return outcomes
+
+
+def _lack(planner: Planner, measure: Measure, number: int, q: np.ndarray) -> str:
+    """What the path `[point, joint]` of phase `number` lacks to be smoothed; empty if unknown."""
+    config = planner.config.smoothing
+    points = smoothing.densify(q, config.spacing / 2)
+    gap = float(measure(np.full(len(points), number), points, config.margin).min())
+    if gap >= np.float32(config.margin):
+        return ""
+    kept = f"{1e3 * config.margin:g} mm are kept"
+    return f"; {1e3 * gap:.1f} mm of clearance are left on the way, and {kept}"
 
 
 def _moving(
