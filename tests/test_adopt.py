@@ -117,6 +117,24 @@ def test_a_mjcf_keeps_its_home_and_its_other_tool(tmp_path):
     assert any("tool_of_the_file" in note for note in adopted.notes)
 
 
+def test_an_arm_with_weak_servos_does_not_sag(tmp_path):
+    """Its own servos hold it where they are told to, by C MuJoCo."""
+    (tmp_path / "arm.xml").write_text(
+        '<mujoco><compiler angle="radian"/><worldbody><body name="a"><joint name="j" axis="0 1 0" '
+        'range="-2 2" armature=".1"/><geom type="capsule" fromto="0 0 0 .4 0 0" size=".03" '
+        'mass="5"/><site name="tool" pos=".4 0 0"/></body></worldbody>'
+        '<actuator><position joint="j" kp="200" kv="20"/></actuator></mujoco>'
+    )
+    adopted = adopt(tmp_path / "arm.xml", tmp_path / "cell")
+    assert sum("compensates the arm's weight" in note for note in adopted.notes) == 1
+    model = mujoco.MjModel.from_xml_path(str(adopted.path))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    data.ctrl[:] = home = data.qpos.copy()
+    mujoco.mj_step(model, data, 500)
+    np.testing.assert_allclose(data.qpos, home, atol=1e-3)
+
+
 def test_joints_without_names_keep_their_home(tmp_path):
     (tmp_path / "arm.xml").write_text(
         '<mujoco><compiler angle="radian"/><worldbody><body name="a"><joint axis="0 0 1" '

@@ -18,7 +18,7 @@ from hybrid_jax.adopt.joint_rates import state_rates
 from hybrid_jax.adopt.overview import add_overview
 from hybrid_jax.adopt.planning_group import group_tip, hold_other_joints
 from hybrid_jax.adopt.semantic_description import SemanticDescription, read_srdf
-from hybrid_jax.adopt.servos import add_servos
+from hybrid_jax.adopt.servos import add_servos, compensate_gravity
 from hybrid_jax.adopt.surroundings import add_surroundings, merged, read_surroundings
 from hybrid_jax.errors import HybridJaxError, WorkcellError
 from hybrid_jax.runtime.quiet import engine_messages
@@ -129,6 +129,7 @@ def _complete(source: Path, options: AdoptionOptions) -> tuple[_Draft, list[str]
     layout = find_layout(model, None)
     notes += state_rates(spec, model, layout)
     notes += add_servos(spec, model, layout)
+    notes += compensate_gravity(spec, model, layout)
     notes += exclude_pairs(spec, described.disabled)
     model = compile_spec(spec)
     notes += exclude_touching(spec, model, layout)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Servos for joints that a vendor's file leaves without any, so that plans can be simulated."""
+"""Servos and gravity compensation that a vendor's file lacks, so that plans can be simulated."""
 
 import mujoco
 import numpy as np
@@ -17,8 +17,7 @@ _SAMPLES = 64
 def add_servos(spec: mujoco.MjSpec, model: mujoco.MjModel, layout: Layout) -> list[str]:
     """Give the arm's joints position servos where they have no actuator.
 
-    The gains follow from the inertia that the joint moves. Gravity of what the arm moves is
-    compensated, as real controllers do.
+    The gains follow from the inertia that the joint moves.
 
     Args:
         spec: to be changed.
@@ -47,16 +46,34 @@ def add_servos(spec: mujoco.MjSpec, model: mujoco.MjModel, layout: Layout) -> li
         servo.set_to_position(kp=round(gain, 3), kv=round(2 * FREQUENCY * inertia, 3))
         if model.jnt_limited[layout.joints[i]]:
             servo.ctrlrange = [low, high]
-    first_link = int(model.jnt_bodyid[layout.joints[0]])
-    for body in spec.bodies:
-        if first_link in body_path(model, body.id):
-            body.gravcomp = 1.0
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     names = ", ".join(layout.joint_names[i] for i in bare)
     return [
         f"the joints {names} have no actuators: position servos of {FREQUENCY:g} rad/s, "
-        "critically damped, with gravity compensated"
+        "critically damped"
     ]
+
+
+def compensate_gravity(spec: mujoco.MjSpec, model: mujoco.MjModel, layout: Layout) -> list[str]:
+    """Let no link of the arm sag by its weight, as the controllers of real arms see to.
+
+    Args:
+        spec: to be changed.
+        model: compiled from it.
+        layout: of the arm.
+
+    Returns:
+        A sentence; none where the file compensates gravity itself.
+    """
+    first_link = int(model.jnt_bodyid[layout.joints[0]])
+    links = [body for body in spec.bodies if first_link in body_path(model, body.id)]
+    # a gripper that was mounted may have it already
+    moved = model.jnt_bodyid[list(layout.joints)]
+    if all(body.gravcomp for body in links if body.id in moved):
+        return []
+    for body in links:
+        body.gravcomp = body.gravcomp or 1.0
+    return ["the simulation compensates the arm's weight, as its controller does"]
 
 
 def _inertias(model: mujoco.MjModel, layout: Layout) -> np.ndarray:

@@ -2,7 +2,7 @@
 """Handling in physics: sort the objects of many scenes at once, and judge what was handled."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
@@ -31,7 +31,7 @@ class SortingReport:
     """One for each object."""
     touches: list[Touch]
     """Contacts that were not allowed."""
-    frames: np.ndarray
+    frames: np.ndarray = field(repr=False)
     """`[frame, nq]` MuJoCo's `qpos` after each tick of the execution."""
     seconds: float
     """Simulated [s]."""

@@ -35,7 +35,7 @@ class ExecutionReport:
     """`[object, 7]` where every object lies afterwards: position [m], quaternion."""
     slip: float
     """Largest distance of the held object from where it was gripped, in the tool's frame [m]."""
-    frames: np.ndarray
+    frames: np.ndarray = field(repr=False)
     """`[frame, nq]` MuJoCo's `qpos` after each tick."""
     seconds: float
     """Simulated [s]."""
@@ -67,7 +67,7 @@ class TaskReport:
     """Share of the plan's points from each source."""
     touches: list[Touch] = field(default_factory=list)
     """Contacts that were not allowed."""
-    frames: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    frames: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
     """`[frame, nq]` MuJoCo's `qpos` after each tick."""
 
 
