@@ -33,7 +33,8 @@ def main(
     """
     from hybrid_jax.runtime.devices import use_all_cores
     from hybrid_jax.workcell.assets import find_workcell
-    from hybrid_jax.workcell.diagnosis import WRONG, diagnose
+    from hybrid_jax.workcell.diagnosis import diagnose
+    from hybrid_jax.workcell.findings import WRONG
     from hybrid_jax.workcell.load import load_workcell
 
     use_all_cores()
@@ -66,7 +67,7 @@ def look_at_home(cell) -> tuple[list, list[str]]:
     """
     from hybrid_jax.kernels.collision.clearance import clearance
     from hybrid_jax.kernels.collision.distance import FAR
-    from hybrid_jax.workcell.diagnosis import DOUBTFUL, WRONG, Finding
+    from hybrid_jax.workcell.findings import DOUBTFUL, WRONG, Finding
 
     gap, findings = float(clearance(cell, cell.home)), []
     if gap < 0:
@@ -113,7 +114,7 @@ def plan_tasks(
     from hybrid_jax.runtime.program_durations import being_made
     from hybrid_jax.tasks.registry import random_task
     from hybrid_jax.types import Status
-    from hybrid_jax.workcell.diagnosis import DOUBTFUL
+    from hybrid_jax.workcell.findings import DOUBTFUL
 
     # without a map nobody knows what manipulability is usual here
     path_ik = replace(DEFAULT.planner.path_ik, least_manipulability=0.0)

@@ -7,7 +7,8 @@ from pathlib import Path
 from hull_shapes import can, write_stl
 
 from hybrid_jax.workcell.assets import robots_folder
-from hybrid_jax.workcell.diagnosis import WRONG, diagnose
+from hybrid_jax.workcell.diagnosis import diagnose
+from hybrid_jax.workcell.findings import WRONG
 from hybrid_jax.workcell.load import load_workcell
 
 INERTIA = '<inertial><mass value="1"/><inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/>'

@@ -7,7 +7,7 @@ import jax
 import mujoco
 import numpy as np
 import pytest
-from arms import package
+from arms import joint, link, package
 from hull_shapes import can, write_stl
 
 from hybrid_jax import check
@@ -16,7 +16,8 @@ from hybrid_jax.adopt.adoption import AdoptionOptions, adopt
 from hybrid_jax.errors import WorkcellError
 from hybrid_jax.planner.point_to_point import plan_joint_motion
 from hybrid_jax.types import Status
-from hybrid_jax.workcell.diagnosis import WRONG, diagnose
+from hybrid_jax.workcell.diagnosis import diagnose
+from hybrid_jax.workcell.findings import WRONG
 from hybrid_jax.workcell.load import load_workcell
 
 
@@ -77,6 +78,12 @@ def test_a_xacro_is_expanded_with_its_arguments(tmp_path):
     np.testing.assert_allclose(load_workcell(adopted.path).velocity_limits[:2], 0.7)
     missing = adopt(path, tmp_path / "other")
     assert missing.path is None and "--xacro-arg" in missing.findings[0].text
+    cell = load_workcell(path, tool="tool0", xacro_arguments={"speed": "0.6"})
+    np.testing.assert_allclose(cell.velocity_limits[:2], 0.6)
+    stated = '><xacro:arg name="speed"/><xacro:arg name="side" default="left"/><link'
+    path.write_text(path.read_text().replace("><link", stated, 1))
+    named = adopt(path, tmp_path / "named").findings
+    assert [f.text.rpartition("; ")[2] for f in named] == ["give --xacro-arg speed=VALUE"]
     path.write_text(text.replace("<link", '<xacro:include filename="$(find nowhere)/a"/><link', 1))
     lost = adopt(path, tmp_path / "third").findings[0].text
     assert "'nowhere'" in lost and "--package-path" in lost
@@ -88,6 +95,30 @@ def test_every_missing_mesh_is_named_at_once(tmp_path):
         file.unlink()
     text = " ".join(f.text for f in adopt(path, tmp_path / "cell").findings)
     assert "base.stl" in text and "upper.stl" in text and not (tmp_path / "cell").exists()
+
+
+def test_what_else_is_wrong_is_said_with_the_meshes(tmp_path):
+    path = package(tmp_path)
+    for file in (path.parent.parent / "meshes").iterdir():
+        file.write_bytes(bytes(84))  # a binary STL without a triangle
+    path.write_text(
+        path.read_text()
+        .replace("tool0", "left_end")
+        .replace(
+            "</robot>",
+            link("right_end") + joint("g", "flange", "right_end", "fixed", "") + "</robot>",
+        )
+    )
+    text = " | ".join(f.text for f in adopt(path, tmp_path / "cell").findings)
+    assert text.count("has no faces") == 2 and "left_end, right_end" in text
+    mjcf = tmp_path / "arm.xml"
+    mjcf.write_text(
+        '<mujoco><asset><mesh file="a.stl"/><mesh file="b.stl"/></asset><worldbody><body name="l">'
+        '<joint axis="0 0 1" range="-1 1"/><geom type="mesh" mesh="a"/>'
+        '<geom type="mesh" mesh="b"/><site name="tool"/></body></worldbody></mujoco>'
+    )
+    (found,) = adopt(mjcf, tmp_path / "cell").findings
+    assert str(tmp_path / "a.stl") in found.text and str(tmp_path / "b.stl") in found.text
 
 
 def test_a_text_stl_and_a_collada_file_are_read(tmp_path):

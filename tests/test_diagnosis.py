@@ -5,7 +5,8 @@ import pytest
 
 from hybrid_jax import check
 from hybrid_jax.workcell.assets import find_workcell
-from hybrid_jax.workcell.diagnosis import DOUBTFUL, WRONG, diagnose
+from hybrid_jax.workcell.diagnosis import diagnose
+from hybrid_jax.workcell.findings import DOUBTFUL, WRONG
 
 GOOD = """<mujoco><compiler angle="radian"/><size nuser_jnt="2"/><worldbody>
 <body name="wall"><geom type="box" pos=".5 0 .3" size=".02 .3 .3"/></body>

@@ -11,7 +11,8 @@ from hybrid_jax import check
 from hybrid_jax.errors import UnknownNameError, WorkcellError
 from hybrid_jax.kernels.kinematics import tool_pose
 from hybrid_jax.runs.run_folder import create_run, open_run
-from hybrid_jax.workcell.diagnosis import DOUBTFUL, WRONG, diagnose
+from hybrid_jax.workcell.diagnosis import diagnose
+from hybrid_jax.workcell.findings import DOUBTFUL, WRONG
 from hybrid_jax.workcell.load import load_workcell
 
 BALL = '<collision><geometry><sphere radius=".05"/></geometry></collision>'

@@ -23,7 +23,9 @@ from hybrid_jax.adopt.surroundings import add_surroundings, merged, read_surroun
 from hybrid_jax.errors import HybridJaxError, WorkcellError
 from hybrid_jax.runtime.quiet import engine_messages
 from hybrid_jax.workcell.assets import find_workcell
-from hybrid_jax.workcell.diagnosis import WRONG, Finding, diagnose
+from hybrid_jax.workcell.convex_hulls import MESH_TOLERANCE
+from hybrid_jax.workcell.diagnosis import diagnose
+from hybrid_jax.workcell.findings import WRONG, Finding
 from hybrid_jax.workcell.layout import find_layout, home_qpos
 from hybrid_jax.workcell.load import as_spec, compile_spec
 from hybrid_jax.workcell.tool_frame import TOOL, set_tool
@@ -100,7 +102,8 @@ def adopt(robot: str | Path, folder: Path, options: AdoptionOptions | None = Non
             if draft.task_data:
                 path.with_suffix(".toml").write_text(draft.task_data)
     except (HybridJaxError, ValueError) as error:
-        others = diagnose(source, tool=options.tool, package_paths=options.package_paths)
+        told = options.tool, options.package_paths, options.xacro_arguments
+        others = diagnose(source, MESH_TOLERANCE, *told)
         first = Finding(WRONG, str(error))
         # what the adoption would have mended is not reported of a file that it could not read
         others = [f for f in others if f.level == WRONG and not f.mended]

@@ -2,14 +2,13 @@
 """All faults of a cell's model at once, where `load_workcell` stops at the first."""
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
-from hybrid_jax.errors import HybridJaxError, WorkcellError
+from hybrid_jax.errors import WorkcellError
 from hybrid_jax.runtime.quiet import engine_messages
 from hybrid_jax.workcell import geometry
 from hybrid_jax.workcell.allowed_collisions import home_overlaps
@@ -24,11 +23,12 @@ from hybrid_jax.workcell.chain import (
 from hybrid_jax.workcell.compile import require_geometry
 from hybrid_jax.workcell.convex_hulls import MESH_TOLERANCE
 from hybrid_jax.workcell.description import TaskData, read_task_data
+from hybrid_jax.workcell.findings import DOUBTFUL, WRONG, Finding, tried
 from hybrid_jax.workcell.layout import Layout, body_path, find_layout, home_qpos
-from hybrid_jax.workcell.load import as_spec, is_urdf, read_model
-from hybrid_jax.workcell.tool_frame import longest_chain
+from hybrid_jax.workcell.load import as_spec, compile_spec, is_urdf, read_model
+from hybrid_jax.workcell.tool_frame import longest_chain, set_tool
+from hybrid_jax.workcell.urdf import read_urdf
 
-WRONG, DOUBTFUL = "wrong", "doubtful"
 NARROW = 0.2
 """Range of a hinge below which it was probably meant in other units [rad]."""
 FASTEST = {"rad": 30.0, "m": 20.0}
@@ -42,36 +42,26 @@ HOLLOW = 2.0
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 
 
-@dataclass(frozen=True)
-class Finding:
-    """One sentence about a model."""
-
-    level: str
-    """`wrong`: nothing can be planned; `doubtful`: it can, but perhaps not what you want."""
-    text: str
-    mended: bool = False
-    """Is it something that `hybrid_jax.adopt` adds to the model?"""
-
-
 def diagnose(
     path: Path,
     mesh_tolerance: float = MESH_TOLERANCE,
     tool: str = "",
     package_paths: Sequence[Path] = (),
+    xacro_arguments: Mapping[str, str] | None = None,
 ) -> list[Finding]:
     """Faults of a cell, the worst first; empty if there is none.
 
     Args:
         path: MJCF, URDF or MJB file; the task data beside it are read as well.
-        mesh_tolerance, tool, package_paths: see `load_workcell`.
+        mesh_tolerance, tool, package_paths, xacro_arguments: see `load_workcell`.
     """
     findings: list[Finding] = []
-    task = _tried(findings, lambda: read_task_data(path.with_suffix(".toml")))
-    model, layout = _look(findings, path, task, tool, package_paths)
+    task = tried(findings, lambda: read_task_data(path.with_suffix(".toml")))
+    model, layout = _look(findings, path, task, tool, package_paths, xacro_arguments)
     if model is not None:
         findings += _geoms(model, mesh_tolerance)
     if layout is not None:
-        _tried(findings, lambda: require_geometry(model, layout))
+        tried(findings, lambda: require_geometry(model, layout))
         findings += itertools.chain(
             _joints(path, model, layout),
             _lengths(model, layout),
@@ -82,29 +72,35 @@ def diagnose(
     return sorted(dict.fromkeys(findings), key=lambda finding: finding.level != WRONG)
 
 
-def _look(found: list[Finding], path: Path, task: TaskData | None, tool: str, packages):
+def _look(found: list[Finding], path: Path, task: TaskData | None, tool: str, packages, arguments):
     """Model and layout, None where there is none; what prevents them is added to `found`."""
-    model = _tried(found, lambda: read_model(path, tool, packages))
-    layout = model and _tried(found, lambda: find_layout(model, task, tool))
+    model = tried(found, lambda: read_model(path, tool, packages, arguments))
+    layout = model and tried(found, lambda: find_layout(model, task, tool))
     if layout is None and model is not None and task:
-        layout = _tried([], lambda: find_layout(model, None, tool))
+        layout = tried([], lambda: find_layout(model, None, tool))
     if layout is None and not tool:
         # where nothing tells the tool, all else is checked with the end of the longest chain
-        end = _tried([], lambda: longest_chain(as_spec(path, packages)))
-        model = (end and _tried([], lambda: read_model(path, end, packages))) or model
-        layout = model and end and _tried([], lambda: find_layout(model, None, end))
+        end = tried([], lambda: longest_chain(as_spec(path, packages, arguments)))
+        model = (end and tried([], lambda: read_model(path, end, packages, arguments))) or model
+        layout = model and end and tried([], lambda: find_layout(model, None, end))
+    if model is None and is_urdf(path):
+        found += _but_for_meshes(path, tool, packages, arguments)
     return model, layout or None
 
 
-def _tried(found: list[Finding], action: Callable):
-    """What an action returns; where it raises, None, and its error is added to `found`."""
-    try:
-        return action()
-    except HybridJaxError as error:
-        found.append(Finding(WRONG, str(error)))
-    except ValueError:  # MuJoCo's own error: `read_model` has reported it
-        pass
-    return None
+def _but_for_meshes(path: Path, tool: str, packages, arguments) -> list[Finding]:
+    """What is wrong with the tool and the joints of a URDF whose meshes cannot be read."""
+    found: list[Finding] = []
+    spec = tried([], lambda: read_urdf(path, packages, arguments, with_meshes=False))
+    if spec is None:
+        return []
+    tried(found, lambda: set_tool(spec, tool))
+    end = longest_chain(spec) if found else tool
+    if found and end:
+        set_tool(spec, end)
+    model = tried([], lambda: compile_spec(spec))
+    _ = model and tried(found, lambda: find_layout(model, None, end))
+    return found
 
 
 def _geoms(model: mujoco.MjModel, tolerance: float) -> Iterator[Finding]:

@@ -68,7 +68,12 @@ def as_spec(
     return spec
 
 
-def read_spec(path: Path, tool: str = "", package_paths: Sequence[Path] = ()) -> mujoco.MjSpec:
+def read_spec(
+    path: Path,
+    tool: str = "",
+    package_paths: Sequence[Path] = (),
+    xacro_arguments: Mapping[str, str] | None = None,
+) -> mujoco.MjSpec:
     """Spec of an MJCF or URDF file with a tool and, where it needs one, a home.
 
     A model without a keyframe whose joints cannot all be at zero gets one, see `free_home`.
@@ -77,12 +82,13 @@ def read_spec(path: Path, tool: str = "", package_paths: Sequence[Path] = ()) ->
         path: of the file.
         tool: site or link that is the tool; found if empty.
         package_paths: folders that hold the ROS packages of a URDF's meshes.
+        xacro_arguments: values of a xacro file's arguments by their names.
 
     Raises:
         ValueError: MuJoCo cannot read it.
         WorkcellError, UnknownNameError: see `read_model`.
     """
-    spec = as_spec(path, package_paths)
+    spec = as_spec(path, package_paths, xacro_arguments)
     if tool or is_urdf(path):
         set_tool(spec, tool)
     home = free_home(compile_spec(spec))
@@ -92,25 +98,61 @@ def read_spec(path: Path, tool: str = "", package_paths: Sequence[Path] = ()) ->
 
 
 def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """Compile a spec without the warning that a file which includes another cannot be saved."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Attaching a spec", UserWarning)
-        return spec.compile()
+    """Compile a spec without the warning that a file which includes another cannot be saved.
+
+    Raises:
+        WorkcellError: files of meshes or textures are missing, all by name.
+        ValueError: MuJoCo finds something else wrong.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Attaching a spec", UserWarning)
+            return spec.compile()
+    except ValueError:
+        missing = _missing_files(spec)
+        if not missing:
+            raise
+        raise WorkcellError(
+            f"files that the model names are missing: {', '.join(missing)}"
+        ) from None
 
 
-def _compile(path: Path, tool: str, package_paths: Sequence[Path]) -> mujoco.MjModel:
+def _missing_files(spec: mujoco.MjSpec) -> list[str]:
+    """Files of meshes and textures that are not there."""
+    start = Path(spec.modelfiledir or ".")
+    files = [
+        start / (folder or "") / element.file
+        for elements, folder in ((spec.meshes, spec.meshdir), (spec.textures, spec.texturedir))
+        for element in elements
+        if element.file
+    ]
+    return [str(file) for file in dict.fromkeys(files) if not file.is_file()]
+
+
+def _compile(
+    path: Path,
+    tool: str,
+    package_paths: Sequence[Path],
+    xacro_arguments: Mapping[str, str] | None,
+) -> mujoco.MjModel:
     if path.suffix.lower() == ".mjb":
         return mujoco.MjModel.from_binary_path(str(path))
-    return compile_spec(read_spec(path, tool, package_paths))
+    return compile_spec(read_spec(path, tool, package_paths, xacro_arguments))
 
 
-def read_model(path: Path, tool: str = "", package_paths: Sequence[Path] = ()) -> mujoco.MjModel:
+def read_model(
+    path: Path,
+    tool: str = "",
+    package_paths: Sequence[Path] = (),
+    xacro_arguments: Mapping[str, str] | None = None,
+) -> mujoco.MjModel:
     """Compile an MJCF, URDF or MJB file; see `read_spec`.
 
     Args:
         path: of the file.
         tool: site or link that is the tool; found if empty.
         package_paths: folders that hold the ROS packages of a URDF's meshes.
+        xacro_arguments: values of a xacro file's arguments by their names.
 
     Raises:
         WorkcellError: MuJoCo cannot read it (its own message is passed on), a number in it is not
@@ -119,7 +161,7 @@ def read_model(path: Path, tool: str = "", package_paths: Sequence[Path] = ()) -
     """
     try:
         with engine_messages(path.name):
-            model = _compile(path, tool, package_paths)
+            model = _compile(path, tool, package_paths, xacro_arguments)
     except ValueError as error:
         if isinstance(error, HybridJaxError):
             raise
@@ -141,6 +183,7 @@ def load_workcell(
     mesh_tolerance: float = MESH_TOLERANCE,
     tool: str = "",
     package_paths: Sequence[Path] = (),
+    xacro_arguments: Mapping[str, str] | None = None,
 ) -> Workcell:
     """Load a work cell by the name of a shipped one or from an MJCF file.
 
@@ -153,6 +196,7 @@ def load_workcell(
         mesh_tolerance: how far the polytope of a mesh may stand out of its convex hull [m].
         tool: site or link that is the tool; as the task data say, or found, if empty.
         package_paths: folders that hold the ROS packages of a URDF's meshes.
+        xacro_arguments: values of a xacro file's arguments by their names.
 
     Returns:
         The cell with its objects and arm as in the keyframe `home`.
@@ -166,7 +210,7 @@ def load_workcell(
     require_device()
     path = find_workcell(name_or_path)
     task = read_task_data(path.with_suffix(".toml"))
-    model = read_model(path, tool, package_paths)
+    model = read_model(path, tool, package_paths, xacro_arguments)
     cell = compile_workcell(model, path.stem, task, mesh_tolerance, path, tool)
     for sentence in home_overlaps(model, cell.source.layout):
         raise WorkcellError(sentence)

@@ -20,6 +20,8 @@ def readable_mesh(path: Path) -> Path:
     if not path.stat().st_size:
         raise WorkcellError(f"the mesh file {path} is empty")
     ending = path.suffix.lower()
+    if ending == ".stl" and path.stat().st_size == 84 and not _is_text(path):
+        raise WorkcellError(f"the mesh {path} has no faces")
     if ending in READABLE and not (ending == ".stl" and _is_text(path)):
         return path
     content = hashlib.sha256(path.read_bytes()).hexdigest()[:16]

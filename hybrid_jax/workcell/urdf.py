@@ -24,6 +24,8 @@ def read_urdf(
     path: Path,
     package_paths: Sequence[Path] = (),
     xacro_arguments: Mapping[str, str] | None = None,
+    *,
+    with_meshes: bool = True,
 ) -> mujoco.MjSpec:
     """Spec of a URDF, with velocity limits in the joints' `user` data as in a cell's MJCF.
 
@@ -31,6 +33,7 @@ def read_urdf(
         path: of the file, or of a xacro file.
         package_paths: folders that hold ROS packages, looked at first.
         xacro_arguments: values of a xacro file's arguments by their names.
+        with_meshes: False to leave out all geometry, to see what else is wrong.
 
     Raises:
         WorkcellError: the file is no XML, or the package or file of a mesh is not found.
@@ -47,6 +50,31 @@ def read_urdf(
     compiler = _compiler(robot)
     _mend_inertias(path, robot)
     _leave_visuals_out(robot, compiler)
+    if with_meshes:
+        _name_meshes(path, robot, package_paths, compiler)
+    else:
+        _remove(robot, "visual", "collision")
+    spec = mujoco.MjSpec.from_string(ElementTree.tostring(robot, encoding="unicode"))
+    spec.compiler.fusestatic = False  # a tool link without geometry would vanish
+    spec.compiler.balanceinertia = True
+    # links that only carry frames have no mass, which MuJoCo refuses where they move
+    spec.compiler.boundmass = max(spec.compiler.boundmass, LEAST_MASS)
+    spec.compiler.boundinertia = max(spec.compiler.boundinertia, LEAST_INERTIA)
+    _state_velocities(spec, robot)
+    return spec
+
+
+def _name_meshes(
+    path: Path,
+    robot: ElementTree.Element,
+    package_paths: Sequence[Path],
+    compiler: ElementTree.Element,
+) -> None:
+    """Name all meshes by whole paths of files that MuJoCo reads.
+
+    Raises:
+        WorkcellError: for all that are missing, empty or of an unknown kind together.
+    """
     faults = []
     for mesh in robot.iter("mesh"):
         try:
@@ -57,17 +85,16 @@ def read_urdf(
             faults.append(str(error))
     if faults:
         raise WorkcellError("; ".join(dict.fromkeys(faults)))
-    # the meshes are named by whole paths now, which these two settings would change
+    # these two settings would change whole paths
     compiler.set("strippath", "false")
     compiler.attrib.pop("meshdir", None)
-    spec = mujoco.MjSpec.from_string(ElementTree.tostring(robot, encoding="unicode"))
-    spec.compiler.fusestatic = False  # a tool link without geometry would vanish
-    spec.compiler.balanceinertia = True
-    # links that only carry frames have no mass, which MuJoCo refuses where they move
-    spec.compiler.boundmass = max(spec.compiler.boundmass, LEAST_MASS)
-    spec.compiler.boundinertia = max(spec.compiler.boundinertia, LEAST_INERTIA)
-    _state_velocities(spec, robot)
-    return spec
+
+
+def _remove(robot: ElementTree.Element, *kinds: str) -> None:
+    """Remove elements of some kinds from all links."""
+    for link in robot.iter("link"):
+        for element in [e for kind in kinds for e in link.findall(kind)]:
+            link.remove(element)
 
 
 def _mend_inertias(path: Path, robot: ElementTree.Element) -> None:
@@ -121,11 +148,8 @@ def _compiler(robot: ElementTree.Element) -> ElementTree.Element:
 
 def _leave_visuals_out(robot: ElementTree.Element, compiler: ElementTree.Element) -> None:
     """Remove the visuals where MuJoCo would discard them: their meshes may be missing."""
-    if compiler.get("discardvisual", "true") != "true":
-        return
-    for link in robot.iter("link"):
-        for visual in link.findall("visual"):
-            link.remove(visual)
+    if compiler.get("discardvisual", "true") == "true":
+        _remove(robot, "visual")
 
 
 def _state_velocities(spec: mujoco.MjSpec, robot: ElementTree.Element) -> None:

@@ -40,8 +40,9 @@ def expand_xacro(
         except Exception as error:  # xacro wraps what it meets in errors without a common base
             missing = _MISSING.search(str(error))
             if not missing:
+                lacking = _arguments_without_values(path, arguments or {})
                 raise WorkcellError(
-                    f"{path.name}: xacro cannot expand it: {_reason(error)}"
+                    f"{path.name}: xacro cannot expand it: {_reason(error, lacking)}"
                 ) from None
             folder = _package(path, missing[1], package_paths)
             packages.update_package_cache({missing[1]: folder})
@@ -62,9 +63,23 @@ def _package(path: Path, name: str, package_paths: Sequence[Path]) -> Path:
     )
 
 
-def _reason(error: Exception) -> str:
+def _arguments_without_values(path: Path, given: Mapping[str, str]) -> list[str]:
+    """Names of a file's arguments that have no default and are not given."""
+    arguments = re.findall(r"<xacro:arg\b[^>]*>", path.read_text(errors="replace"))
+    names = [re.search(r"name\s*=\s*[\"']([^\"']+)", text) for text in arguments]
+    return [
+        name[1]
+        for name, text in zip(names, arguments, strict=True)
+        if name and "default" not in text and name[1] not in given
+    ]
+
+
+def _reason(error: Exception, lacking: list[str]) -> str:
     """What is wrong, and what would be right where an argument is missing."""
     text = str(error).strip() or type(error).__name__
+    if lacking:
+        options = " ".join(f"--xacro-arg {name}=VALUE" for name in lacking)
+        return f"it has arguments without a default; give {options}"
     if "arg" in text.lower() and "undefined" in text.lower():
         return f"{text}; give it with --xacro-arg NAME=VALUE"
     return text
