@@ -27,6 +27,7 @@ from hybrid_jax.planner.phase_scenes import (
     task_scenes,
 )
 from hybrid_jax.planner.pipeline import plan_batch, plan_motion, prepare
+from hybrid_jax.planner.shortcutting import shortcut
 from hybrid_jax.planner.task_validation import admit
 from hybrid_jax.runs.presets import DEFAULT
 from hybrid_jax.runs.switch_problems import switch_problems
@@ -212,7 +213,7 @@ def test_a_seam_that_keeps_no_margin_is_reported(planner, planned):
     config = replace(planner.config, smoothing=replace(planner.config.smoothing, margin=0.04))
     result = plan_motion(replace(planner, config=config), planned[0], key=jax.random.key(0))
     assert result.status is Status.SEAM_FAILED and result.detail.startswith("phase 0")
-    assert "mm of clearance are left on the way, and 40 mm are kept" in result.detail
+    assert "mm of clearance are left on the way, and 40.0 mm are kept" in result.detail
 
 
 def test_what_the_final_check_rejects_is_not_returned(planner, planned):
@@ -273,7 +274,7 @@ def test_shortcut_never_leaves_the_margin(reaching, planned):
     q = planned[1].phases[0].positions[::10]
     before = float(jnp.min(jax.vmap(lambda x: clearance(reaching, x))(jnp.asarray(q, jnp.float32))))
     margin = min(0.002, before)
-    short = smoothing.shortcut(reaching, q, margin, smoothing.SmoothingConfig())
+    short = shortcut(reaching, q, margin, smoothing.SmoothingConfig())
     assert np.abs(np.diff(short, axis=0)).sum() <= np.abs(np.diff(q, axis=0)).sum() + 1e-6
     assert path_clearance(reaching, smoothing.densify(short, 0.02)).min() > min(0, before)
 

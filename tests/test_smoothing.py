@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from hybrid_jax.kernels.collision.motion_validation import measure_some
-from hybrid_jax.planner.smoothing import SmoothingConfig, shortcut_paths, smooth_paths
+from hybrid_jax.planner.shortcutting import shortcut_paths
+from hybrid_jax.planner.smoothing import SmoothingConfig, smooth_paths
 
 DISCS = np.array([[0.5, 0.5, 0.3], [0.2, 0.9, 0.15], [5.0, 5.0, 0.1]])
 """Centre and radius of the one disc in the world of each path."""
@@ -115,3 +116,20 @@ def test_every_margin_can_be_kept(margin):
     far = np.array([[3.0, 0.0], [4.0, 0.5], [4.0, 1.5]])
     config = SmoothingConfig(margin=margin)
     assert smooth_paths(clearances, [(far, np.zeros(3, np.uint8))], config)[0] is not None
+
+
+def test_a_way_point_beside_a_bridge_is_still_met():
+    """As a key pose is: widely rounded, the path would miss it; smoothness and ends stay."""
+    far = np.array([[3.0, 0.0], [4.0, 0.0], [4.0, 1.0], [3.0, 1.0]])
+    marks, elsewhere = np.ones(4, np.uint8), np.array([[9.0, 9.0]])
+    missed, met, same = (
+        smooth_paths(clearances, [(far, marks)], CONFIG, through)[0][0]
+        for through in ((), [far[1:3]], [elsewhere])
+    )
+    apart = lambda path: np.linalg.norm(path[:, None] - far[1:3], axis=2).min(axis=0)  # noqa: E731
+    assert apart(missed).min() > 0.05 and apart(met).max() < 0.005
+    np.testing.assert_array_equal(same, missed)
+    np.testing.assert_array_equal(met[[0, -1]], far[[0, -1]])
+    bend = lambda path: np.linalg.norm(np.diff(path, n=2, axis=0), axis=1).max()  # noqa: E731
+    sharp = smooth_paths(clearances, [(far, marks)], SmoothingConfig(widths=(0.0,)))[0][0]
+    assert bend(met) < 0.5 * bend(sharp)

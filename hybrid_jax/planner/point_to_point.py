@@ -14,9 +14,9 @@ from jaxtyping import Float, PRNGKeyArray
 from hybrid_jax.contracts import PlanResult
 from hybrid_jax.kernels.argument_checks import single_precision
 from hybrid_jax.kernels.collision.motion_validation import path_clearance, path_is_free
-from hybrid_jax.planner import smoothing
 from hybrid_jax.planner.phase_scenes import home_scene, in_scene
 from hybrid_jax.planner.rrt_connect import RrtConfig, plan_paths
+from hybrid_jax.planner.shortcutting import shortcut
 from hybrid_jax.planner.smoothing import SmoothingConfig
 from hybrid_jax.planner.task_validation import kernels_touch, within_limits
 from hybrid_jax.planner.timing import RESTING, TimingConfig, resting
@@ -221,7 +221,7 @@ def _timed(
     config: JointMotionConfig,
 ) -> PlanResult:
     """A checked trajectory along a path `[point, joint]`, shortened if that succeeds."""
-    shortened = smoothing.shortcut(cell, path, config.smoothing.margin, config.smoothing)
+    shortened = shortcut(cell, path, config.smoothing.margin, config.smoothing)
     result = PlanResult(Status.SEAM_FAILED, Status.SEAM_FAILED.sentence)
     for candidate in (shortened, path):
         marks = np.full(len(candidate), Source.RRT, np.uint8)

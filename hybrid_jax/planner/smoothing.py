@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Shortcuts and smoothing of joint paths; what was demonstrated keeps its shape."""
+"""Smoothing of joint paths; what was demonstrated keeps its shape."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,10 +17,8 @@ from hybrid_jax.types import Workcell
 MarkedPath = tuple[np.ndarray, np.ndarray]
 """A joint path `[point, joint]` [rad or m] and the `Source` of each of its points `[point]`."""
 
-LEAST_GAIN = 1e-3
-"""Smallest length that a shortcut must save [rad]."""
-FEW = 4
-"""Every `FEW`-th point of an edge is checked before the others."""
+SLIGHT = 2e-3
+"""Distance of a rounded path from a way point that is left as it is [rad or m]."""
 
 
 @dataclass(frozen=True)
@@ -84,106 +83,6 @@ def densify(q: np.ndarray, spacing: float) -> np.ndarray:
     return at_places(q, refine(q, spacing))
 
 
-def _promising(q: np.ndarray, rng, config: SmoothingConfig) -> np.ndarray:
-    """Pairs of points `[pair, 2]` of a path that an edge would join by a shorter way.
-
-    Those that save most stand first.
-    """
-    pairs = np.sort(rng.integers(0, len(q), (config.shortcuts, 2)), axis=1)
-    length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))])
-    starts, ends = pairs.T
-    gain = length[ends] - length[starts] - np.linalg.norm(q[ends] - q[starts], axis=1)
-    best = np.argsort(-gain, kind="stable")[: config.checked]
-    return pairs[best[gain[best] > LEAST_GAIN]]
-
-
-def _first_free(
-    measure: Measure, owner: np.ndarray, edges: np.ndarray, margin: float, fine: int
-) -> np.ndarray:
-    """Numbers of the edges that are the first of their path to keep a margin at all points.
-
-    Most of the edges that would save much are blocked, and few points show it.
-
-    Args:
-        measure: clearances on the paths.
-        owner: `[edge]` path of each edge, in ascending order.
-        edges: `[edge, 2, joint]` both ends of each edge, the best of a path first.
-        margin: clearance to keep [m].
-        fine: number of points at which an edge is checked.
-
-    Returns:
-        `[n]` at most one edge of each path.
-    """
-
-    def keeps(some: np.ndarray, share: np.ndarray) -> np.ndarray:
-        starts, ends = edges[some, :1], edges[some, 1:]
-        points = (starts + share[:, None] * (ends - starts)).reshape(-1, edges.shape[2])
-        gaps = measure(np.repeat(owner[some], len(share)), points, margin)
-        # clearances are cut off at the margin in single precision: compare with the same number
-        return np.all(gaps.reshape(len(some), len(share)) >= np.float32(margin), axis=1)
-
-    share = np.arange(1, fine + 1) / fine
-    coarse = np.arange(fine) % FEW == FEW - 1
-    remaining = np.flatnonzero(keeps(np.arange(len(edges)), share[coarse]))
-    accepted = []
-    while len(remaining):
-        # as owners ascend, `np.unique` gives the best remaining edge of each path
-        firsts = remaining[np.unique(owner[remaining], return_index=True)[1]]
-        is_free = keeps(firsts, share[~coarse])
-        accepted.append(firsts[is_free])
-        remaining = remaining[
-            ~np.isin(remaining, firsts) & ~np.isin(owner[remaining], owner[firsts[is_free]])
-        ]
-    return np.concatenate(accepted) if accepted else np.zeros(0, int)
-
-
-def shortcut_paths(
-    measure: Measure, paths: list[np.ndarray], margin: float, config: SmoothingConfig, seed: int = 0
-) -> list[np.ndarray]:
-    """Replace detours of polylines by straight edges that keep a margin, all paths together.
-
-    Args:
-        measure: clearances on the paths.
-        paths: way points `[point, joint]` of each [rad or m].
-        margin: clearance at the points of the edges [m].
-        config: number of edges that are tried, and of points at which they are checked.
-        seed: of the random pairs, the same for each path.
-
-    Returns:
-        `[point, joint]` of each path, with the same ends, in steps of `config.spacing` at most.
-    """
-    # a generator for each path: what is drawn for it does not depend on the other paths
-    rngs = [np.random.default_rng(seed) for _ in paths]
-    paths = [densify(q, config.spacing) for q in paths]
-    for _ in range(config.shortcut_rounds):
-        pairs = [_promising(q, rng, config) for q, rng in zip(paths, rngs, strict=True)]
-        counts = np.array([len(path_pairs) for path_pairs in pairs], int)
-        if not counts.any():
-            continue
-        owner = np.repeat(np.arange(len(paths)), counts)
-        edges = np.concatenate([q[path_pairs] for q, path_pairs in zip(paths, pairs, strict=True)])
-        pairs = np.concatenate(pairs)
-        for edge in _first_free(measure, owner, edges, margin, config.fine):
-            q, (a, b) = paths[owner[edge]], pairs[edge]
-            paths[owner[edge]] = densify(np.concatenate([q[: a + 1], q[b:]]), config.spacing)
-    return paths
-
-
-def shortcut(cell: Workcell, q: np.ndarray, margin: float, config: SmoothingConfig) -> np.ndarray:
-    """Shorten one path in the scene of the cell, see `shortcut_paths`.
-
-    Args:
-        cell: robot and scene.
-        q: `[point, joint]` way points [rad or m].
-        margin: clearance at the points of new edges [m].
-        config: number of edges that are tried, and of points at which they are checked.
-
-    Returns:
-        `[point, joint]` way points of the shorter path, with the same ends.
-    """
-    return shortcut_paths(measure_here(cell), [q], margin, config)[0]
-
-
 def _filtered(q: np.ndarray, width: float) -> np.ndarray:
     """A path `[point, joint]` with rounded corners; its ends hardly move."""
     if not width:
@@ -231,8 +130,34 @@ def _rounded(q: np.ndarray, sources: np.ndarray, width: float, config: Smoothing
     return path
 
 
+def _led_through(path: np.ndarray, q: np.ndarray, places: np.ndarray, width: float) -> np.ndarray:
+    """A rounded path moved so that it meets `q` at some places, smoothly around each of them.
+
+    A move ends at the places beside, and at the ends of the path.
+    """
+    path, number = path.copy(), np.arange(len(q))
+    stops = np.unique([0, *places, len(q) - 1])
+    for before, place, after in zip(stops, stops[1:], stops[2:], strict=False):
+        offset = q[place] - path[place]
+        if np.abs(offset).max() > SLIGHT:
+            room = np.where(number < place, place - before, after - place)
+            away = np.abs(number - place) / np.minimum(room, 3 * (1 + width))
+            weight = np.where(away < 1, np.cos(np.pi / 2 * away) ** 2, 0.0)
+            path += weight[:, None] * offset
+    return path
+
+
+def _places_of(points: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Places of points `[n, joint]` on a path `[point, joint]`; those beside it are left out."""
+    apart = np.abs(points[:, None] - q).max(axis=2)
+    return apart.argmin(axis=1)[apart.min(axis=1) < SLIGHT]
+
+
 def smooth_paths(
-    measure: Measure, paths: list[MarkedPath], config: SmoothingConfig
+    measure: Measure,
+    paths: list[MarkedPath],
+    config: SmoothingConfig,
+    through: Sequence[np.ndarray] = (),
 ) -> list[MarkedPath | None]:
     """Round the corners of paths as far as the margin allows, all paths together.
 
@@ -241,18 +166,23 @@ def smooth_paths(
         paths: way points `[point, joint]` [rad or m] and sources `[point]` of each. Source 0 is
             what was demonstrated: there the filter is narrow.
         config: widths and margin.
+        through: `[n, joint]` way points of each path that it must still meet; none if empty.
 
     Returns:
         Each path in small steps, `[point, joint]`, and its sources `[point]`; None if no width
         keeps the margin. The ends stay exactly where they are.
     """
     dense = [_resampled(q, sources, config) for q, sources in paths]
+    met = [_places_of(points, q) for points, (q, _) in zip(through, dense, strict=bool(through))]
     smoothed: list[MarkedPath | None] = [None] * len(paths)
     pending = list(range(len(paths)))
     for width in config.widths:
         if not pending:
             break
         trials = [_rounded(*dense[i], width, config) for i in pending]
+        if through:
+            led = zip(pending, trials, strict=True)
+            trials = [_led_through(q, dense[i][0], met[i], width) for i, q in led]
         points = [densify(q, config.spacing / 2) for q in trials]
         sizes = [len(q) for q in points]
         gaps = measure(np.repeat(pending, sizes), np.concatenate(points), config.margin)

@@ -20,6 +20,7 @@ from hybrid_jax.planner.bridging import Way
 from hybrid_jax.planner.combined_path import PhasePath, Window
 from hybrid_jax.planner.phase_scenes import inside, phase_scene, segment_kinds
 from hybrid_jax.planner.records import Planner
+from hybrid_jax.planner.shortcutting import shortcut_paths
 from hybrid_jax.planner.task_validation import PROVEN
 from hybrid_jax.planner.trajectory_check import PhaseScene
 from hybrid_jax.tasks.task import Task
@@ -77,7 +78,7 @@ def phase_paths(planner: Planner, drafts: list[Draft], measure: Measure) -> list
         for leg in draft.legs
         if leg.has_gap and leg.name in draft.ways
     ]
-    shortened = smoothing.shortcut_paths(
+    shortened = shortcut_paths(
         measure_some(measure, np.array([number for number, _ in gaps], int)),
         [drafts[number].ways[name].path for number, name in gaps],
         planner.config.path_ik.margin,
@@ -243,9 +244,8 @@ def finish_phases(
             outcomes[i] = Fault(Status.COLLISION, "; ".join(faults)) if faults else motion
         pending = [i for i in pending if isinstance(outcomes[i], Fault)]
     for i, (q, _) in tried.items():
-        outcome = outcomes[i]
-        if isinstance(outcome, Fault) and outcome.status is Status.SEAM_FAILED:
-            outcomes[i] = Fault(outcome.status, outcome.detail + _lack(planner, measure, i, q))
+        if isinstance(fault := outcomes[i], Fault) and fault.status is Status.SEAM_FAILED:
+            outcomes[i] = Fault(fault.status, fault.detail + _lack(planner, measure, i, q))
     return outcomes
 
 
@@ -254,10 +254,9 @@ def _lack(planner: Planner, measure: Measure, number: int, q: np.ndarray) -> str
     config = planner.config.smoothing
     points = smoothing.densify(q, config.spacing / 2)
     gap = float(measure(np.full(len(points), number), points, config.margin).min())
-    if gap >= np.float32(config.margin):
-        return ""
-    kept = f"{1e3 * config.margin:g} mm are kept"
-    return f"; {1e3 * gap:.1f} mm of clearance are left on the way, and {kept}"
+    left, kept = (f"{1e3 * length:.1f} mm" for length in (gap, config.margin))
+    text = f"; {left} of clearance are left on the way, and {kept} are kept"
+    return text if gap < np.float32(config.margin) else ""
 
 
 def _moving(
@@ -268,8 +267,10 @@ def _moving(
 ) -> dict[int, Trajectory]:
     """Smoothed and timed motions along paths, by the number of the draft; some may have none."""
     config, rows = planner.config, np.array(list(paths), int)
+    # key poses between the legs of a phase: beside a bridge, rounding would leave them
+    through = [np.array([leg.q[-1] for leg in drafts[i].legs]) for i in paths]
     smooth = smoothing.smooth_paths(
-        measure_some(measure, rows), list(paths.values()), config.smoothing
+        measure_some(measure, rows), list(paths.values()), config.smoothing, through
     )
     smoothed = {int(i): path for i, path in zip(rows, smooth, strict=True) if path is not None}
     speeds = [drafts[i].task.tool_speed(drafts[i].number) for i in smoothed]
