@@ -2,7 +2,7 @@
 """Joint starts to joint goals: public problems of MotionBenchMaker, against OMPL.
 
     python -m benchmarks.motion_bench_maker --json FILE
-    python -m benchmarks.motion_bench_maker --robot fetch --every 10 --first 5 --json FILE
+    python -m benchmarks.motion_bench_maker --robot fetch --every 10 --first 7 --json FILE
 
 Both take turns on each problem, in the same process: our RRT-Connect with its proof, compiled, and
 OMPL's RRT-Connect with C MuJoCo as its checker. Every path of both is checked again by C MuJoCo,

@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import brentq
 
 from hybrid_jax.kernels.collision.clearance import clearance
-from hybrid_jax.planner import trajectory_check
+from hybrid_jax.planner import point_to_point, trajectory_check
 from hybrid_jax.planner.phase_scenes import home_scene, phase_scene
 from hybrid_jax.planner.point_to_point import (
     LONG,
@@ -20,6 +20,7 @@ from hybrid_jax.planner.point_to_point import (
     plan_joint_motion,
 )
 from hybrid_jax.planner.rrt_connect import RrtConfig
+from hybrid_jax.planner.smoothing import densify
 from hybrid_jax.planner.trajectory_check import PhaseScene
 from hybrid_jax.planner.trajectory_generation import motion_faults
 from hybrid_jax.runtime.kept_programs import traced
@@ -87,6 +88,18 @@ def test_other_settings_of_the_search_trace_nothing(balls):
         config = JointMotionConfig(searches=(search,))
         assert find_path(balls, START, GOAL, config, jax.random.key(1)) is not None
     assert traced[before:] == []
+
+
+def test_a_search_goes_around_what_another_one_stepped_over():
+    balls = ball_cell(0.8)
+    blocked = np.stack([START + [0.2, 0.1], START, GOAL, GOAL - [0.2, -0.1]])
+    path = point_to_point._around(balls, blocked, JointMotionConfig(), jax.random.key(0))
+    assert len(path) > 4
+    np.testing.assert_allclose(path[[0, 1, -2, -1]], blocked, atol=1e-6)
+    assert not any(touches(balls.model, q) for q in densify(path, 0.005))
+    inside = np.stack([START, np.zeros(2), GOAL])
+    assert touches(balls.model, inside[1])
+    assert point_to_point._around(balls, inside, JointMotionConfig(), jax.random.key(0)) is None
 
 
 def test_what_touches_between_the_points_that_are_looked_at_is_refused(balls):

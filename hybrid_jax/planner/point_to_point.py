@@ -34,6 +34,12 @@ THOROUGH = replace(WIDE, calls=2000, spacing=QUICK.spacing / 2)
 """The same in steps so small that they seldom miss a thin obstacle."""
 LONG = replace(WIDE, calls=8000)
 """A search of large trees, for pockets that are hard to leave and to enter."""
+FINE = replace(QUICK, calls=800, spacing=QUICK.spacing / 4)
+"""A search beside an edge, around what another one stepped over."""
+
+
+LEAST_ROOM = 1e-6
+"""Clearance that is asked for at ends that touch: no path is proven with it [m]."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +76,7 @@ def find_path(
     Returns:
         Way points `[point, joint]` [rad or m]; None if no search finds a path.
     """
+    config = _within_room(cell, np.stack([start, goal]), config)
     return next(_paths(cell, start, goal, config, key), None)
 
 
@@ -77,13 +84,35 @@ def _paths(
     cell: Workcell, start: np.ndarray, goal: np.ndarray, config: JointMotionConfig, key
 ) -> Iterator[np.ndarray]:
     """Paths as those of `find_path`, one of each search that finds one."""
+    for attempt, search in enumerate(config.searches):
+        path = _search(cell, start, goal, search, fold_in(key, attempt))
+        if path is None:
+            continue
+        # the search checks samples only and may step over a thin obstacle
+        if not path_is_free(cell, path, config.margin, config.tolerance):
+            path = _around(cell, path, config, fold_in(key, len(config.searches) + attempt))
+        if path is not None:
+            yield path
+
+
+def _search(cell: Workcell, start: np.ndarray, goal: np.ndarray, search: RrtConfig, key):
+    """Way points `[point, joint]` of one search, not proven; None if it finds none."""
     scene = jax.tree.map(lambda a: np.asarray(a)[None], cell.scene)
     ends = start[None].astype(np.float32), goal[None].astype(np.float32)
-    for attempt, search in enumerate(config.searches):
-        path = plan_paths(cell, scene, *ends, search, key=fold_in(key, attempt))[0]
-        # the search checks samples only and may step over a thin obstacle
-        if path is not None and path_is_free(cell, path, config.margin, config.tolerance):
-            yield path
+    return plan_paths(cell, scene, *ends, search, key=key)[0]
+
+
+def _around(cell: Workcell, path: np.ndarray, config: JointMotionConfig, key) -> np.ndarray | None:
+    """A path `[point, joint]` whose blocked edges are ways around; None where one has none."""
+    pieces, fine = [path[:1]], replace(FINE, margin=config.searches[0].margin)
+    for number, edge in enumerate(zip(path, path[1:], strict=False)):
+        way = np.stack(edge)
+        if not path_is_free(cell, way, config.margin, config.tolerance):
+            way = _search(cell, *edge, fine, fold_in(key, number))
+        if way is None or not path_is_free(cell, way, config.margin, config.tolerance):
+            return None
+        pieces.append(way[1:])
+    return np.concatenate(pieces)
 
 
 def _admit(checker: ConfigurationChecker, cell: Workcell, start, goal):
@@ -156,6 +185,18 @@ def plan_joint_motion(
     return rewound(cell, result, turns) or result
 
 
+def _within_room(cell: Workcell, ends: np.ndarray, config: JointMotionConfig) -> JointMotionConfig:
+    """The settings with clearances of paths that the ends `[end, joint]` keep themselves."""
+    gap = max(0.9 * float(path_clearance(cell, ends).min()), LEAST_ROOM)
+    return replace(
+        config,
+        searches=tuple(replace(s, margin=min(s.margin, gap)) for s in config.searches),
+        margin=min(config.margin, gap / 2),
+        tolerance=min(config.tolerance, gap / 4),
+        smoothing=replace(config.smoothing, margin=min(config.smoothing.margin, gap)),
+    )
+
+
 def _kept_by(
     cell: Workcell, checker: ConfigurationChecker, ends: list[np.ndarray], config: JointMotionConfig
 ) -> JointMotionConfig:
@@ -164,16 +205,9 @@ def _kept_by(
     Links of many arms pass within less than a millimetre of one another by design. An arm that
     stands so must be able to leave.
     """
-    gap = 0.9 * float(path_clearance(cell, np.asarray(ends)).min())
     engine, clearance = min(checker.gap(q) for q in ends), config.check.clearance
-    return replace(
-        config,
-        searches=tuple(replace(s, margin=min(s.margin, gap)) for s in config.searches),
-        margin=min(config.margin, gap / 2),
-        tolerance=min(config.tolerance, gap / 4),
-        smoothing=replace(config.smoothing, margin=min(config.smoothing.margin, gap)),
-        check=replace(config.check, clearance=0.9 * engine if engine < clearance else clearance),
-    )
+    kept = replace(config.check, clearance=0.9 * engine if engine < clearance else clearance)
+    return replace(_within_room(cell, np.asarray(ends), config), check=kept)
 
 
 def _near_home(cell: Workcell, start, goal) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
