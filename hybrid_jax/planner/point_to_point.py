@@ -36,8 +36,6 @@ LONG = replace(WIDE, calls=8000)
 """A search of large trees, for pockets that are hard to leave and to enter."""
 FINE = replace(QUICK, calls=800, spacing=QUICK.spacing / 4)
 """A search beside an edge, around what another one stepped over."""
-
-
 LEAST_ROOM = 1e-6
 """Clearance that is asked for at ends that touch: no path is proven with it [m]."""
 
@@ -105,12 +103,13 @@ def _search(cell: Workcell, start: np.ndarray, goal: np.ndarray, search: RrtConf
 def _around(cell: Workcell, path: np.ndarray, config: JointMotionConfig, key) -> np.ndarray | None:
     """A path `[point, joint]` whose blocked edges are ways around; None where one has none."""
     pieces, fine = [path[:1]], replace(FINE, margin=config.searches[0].margin)
+    is_free = lambda way: path_is_free(cell, way, config.margin, config.tolerance)  # noqa: E731
     for number, edge in enumerate(zip(path, path[1:], strict=False)):
         way = np.stack(edge)
-        if not path_is_free(cell, way, config.margin, config.tolerance):
+        if not is_free(way):
             way = _search(cell, *edge, fine, fold_in(key, number))
-        if way is None or not path_is_free(cell, way, config.margin, config.tolerance):
-            return None
+            if way is None or not is_free(way):
+                return None
         pieces.append(way[1:])
     return np.concatenate(pieces)
 
