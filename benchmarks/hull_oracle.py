@@ -96,7 +96,7 @@ def links_outside(cell, count: int) -> np.ndarray:
         own = primitive.pose.inv().apply(placed)
         if primitive.vertices is None:
             over = np.maximum(np.abs(own) - primitive.half_extents, 0)
-            heights.append(np.linalg.norm(over, axis=1))
+            heights.append(np.maximum(np.linalg.norm(over, axis=1) - primitive.radius, 0))
             continue
         planes = ConvexHull(primitive.vertices).equations
         above = (own @ planes[:, :3].T + planes[:, 3]).max(axis=1)

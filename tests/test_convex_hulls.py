@@ -130,6 +130,24 @@ def test_a_box_as_a_mesh_is_a_box(tmp_path):
     assert sorted(found.half_extents) == pytest.approx([0.01, 0.025, 0.05], abs=1e-6)
 
 
+@pytest.mark.parametrize("length", [0.0, 0.1, 0.4])
+def test_a_sphere_or_capsule_as_a_mesh_is_one(length):
+    trimesh = pytest.importorskip("trimesh")
+    solid = trimesh.creation.capsule(height=length, radius=0.05, count=[64, 64])
+    turn = Rotation.from_rotvec([0.3, 0.5, 0.7])
+    points = turn.apply(solid.vertices) + [0.1, 0, 0]
+    found = convex_hulls.polytope(points, 5e-4, "m")
+    assert found.vertices is None
+    assert found.radius == pytest.approx(0.05, abs=1e-4)
+    np.testing.assert_allclose(found.half_extents, [0, 0, length / 2], atol=1e-3)
+    inside = found.pose.inv().apply(points)
+    nearest = np.clip(inside, -np.array(found.half_extents), found.half_extents)
+    assert (np.linalg.norm(inside - nearest, axis=1) <= found.radius + 1e-9).all()
+    # a coarse one stands too far within its sphere to be taken for it
+    coarse = trimesh.creation.capsule(height=length, radius=0.05, count=[8, 8])
+    assert convex_hulls.polytope(coarse.vertices, 5e-4, "m").vertices is not None
+
+
 def test_a_mesh_that_is_far_from_convex_is_said():
     """An L of three cubes: its hull has half a cube more."""
     trimesh = pytest.importorskip("trimesh")

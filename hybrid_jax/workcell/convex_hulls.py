@@ -25,6 +25,9 @@ _SHARES = 0.4, 0.2, 0.1
 """Shares of the excess that is allowed, tried in turn while the hull has few vertices."""
 _PLENTY = 800
 """Vertices from which on no smaller excess is tried: tables grow, and looks take longer."""
+_AXES = np.eye(3)
+_DIRECTIONS = np.random.default_rng(0).normal(size=(4000, 3))
+_DIRECTIONS /= np.linalg.norm(_DIRECTIONS, axis=1, keepdims=True)
 _CUBE = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
 
 
@@ -35,11 +38,12 @@ class Polytope:
     pose: RigidTransform
     """Frame of a box around the hull."""
     half_extents: tuple[float, ...]
-    """`[3]` of that box [m]."""
+    """`[3]` of that box [m]; of the axis of a sphere or capsule, where it is one."""
     vertices: np.ndarray | None
-    """`[n, 3]` of the hull in the box's frame [m]; None where the hull is the box itself."""
+    """`[n, 3]` of the hull in the box's frame [m]; None where a box swept by a ball is as good."""
     radius: float
-    """Radius of the ball: how far vertices that were left out stand out of the hull [m]."""
+    """Radius of the ball: how far vertices that were left out stand out of the hull [m]. Without
+    vertices, that of a sphere or capsule."""
 
 
 def distance_to_hull(point: np.ndarray, vertices: np.ndarray) -> float:
@@ -100,6 +104,30 @@ def _spread(points: np.ndarray) -> np.ndarray:
     chosen = np.unique([*extremes, far])
     spans = np.linalg.matrix_rank(points[chosen] - points[chosen].mean(axis=0), tol=1e-9) == 3
     return chosen if spans else np.arange(len(points))
+
+
+def _round_solid(vertices: np.ndarray, excess: float) -> tuple[np.ndarray, float, float] | None:
+    """Axis `[3]`, half length and radius [m] of a sphere or capsule that covers a hull closely.
+
+    Args:
+        vertices: `[n, 3]` of the hull, in the frame of a box around it [m].
+        excess: how far it may stand out of the hull [m].
+
+    Returns:
+        None where none stands out by so little, in any of many directions.
+    """
+    reach = (_DIRECTIONS @ vertices.T).max(axis=1)
+    radius = float(np.linalg.norm(vertices, axis=1).max())
+    if (radius - reach).max() <= excess:
+        return _AXES[2], 0.0, radius
+    for axis in _AXES:
+        along = vertices @ axis
+        beside = np.linalg.norm(vertices - along[:, None] * axis, axis=1)
+        radius = float(beside.max())
+        half = max(float((np.abs(along) - np.sqrt(radius**2 - beside**2)).max()), 0.0)
+        if (half * np.abs(_DIRECTIONS @ axis) + radius - reach).max() <= excess:
+            return axis, half, radius
+    return None
 
 
 def _fewer(
@@ -171,6 +199,12 @@ def _polytope(content: bytes, excess: float) -> Polytope | None:
     box = _CUBE * half
     if max(np.linalg.norm(vertices - corner, axis=1).min() for corner in box) <= excess:
         return Polytope(pose, half, None, 0.0)
+    solid = _round_solid(vertices, excess)
+    if solid is not None:
+        axis, length, radius = solid
+        turned = Rotation.from_rotvec(np.pi * (axis + _AXES[2]) / np.linalg.norm(axis + _AXES[2]))
+        turned = RigidTransform.from_rotation(turned)
+        return Polytope(pose * turned, (0.0, 0.0, length), None, radius)
     kept, radius = _fewer(vertices, excess - 2 * TIE)
     for share in _SHARES:
         if len(kept) > _PLENTY or share * excess < 10 * TIE:
