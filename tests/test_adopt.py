@@ -16,6 +16,7 @@ from hybrid_jax.adopt.adoption import AdoptionOptions, adopt
 from hybrid_jax.errors import WorkcellError
 from hybrid_jax.planner.point_to_point import plan_joint_motion
 from hybrid_jax.types import Status
+from hybrid_jax.workcell import load
 from hybrid_jax.workcell.diagnosis import diagnose
 from hybrid_jax.workcell.findings import WRONG
 from hybrid_jax.workcell.load import load_workcell
@@ -119,6 +120,16 @@ def test_what_else_is_wrong_is_said_with_the_meshes(tmp_path):
     )
     (found,) = adopt(mjcf, tmp_path / "cell").findings
     assert str(tmp_path / "a.stl") in found.text and str(tmp_path / "b.stl") in found.text
+
+
+def test_another_fault_is_not_taken_for_a_missing_file(monkeypatch):
+    """As where an attached model's files lie in a folder of its own."""
+    monkeypatch.setattr(load, "_missing_files", lambda spec: ["elsewhere.stl"])
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[-1.0, 0, 0], name="bad")
+    with pytest.raises(ValueError, match="size") as raised:
+        load.compile_spec(spec)
+    assert not isinstance(raised.value, WorkcellError)
 
 
 def test_a_text_stl_and_a_collada_file_are_read(tmp_path):

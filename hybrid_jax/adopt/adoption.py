@@ -23,7 +23,6 @@ from hybrid_jax.adopt.surroundings import add_surroundings, merged, read_surroun
 from hybrid_jax.errors import HybridJaxError, WorkcellError
 from hybrid_jax.runtime.quiet import engine_messages
 from hybrid_jax.workcell.assets import find_workcell
-from hybrid_jax.workcell.convex_hulls import MESH_TOLERANCE
 from hybrid_jax.workcell.diagnosis import diagnose
 from hybrid_jax.workcell.findings import WRONG, Finding
 from hybrid_jax.workcell.layout import find_layout, home_qpos
@@ -102,8 +101,12 @@ def adopt(robot: str | Path, folder: Path, options: AdoptionOptions | None = Non
             if draft.task_data:
                 path.with_suffix(".toml").write_text(draft.task_data)
     except (HybridJaxError, ValueError) as error:
-        told = options.tool, options.package_paths, options.xacro_arguments
-        others = diagnose(source, MESH_TOLERANCE, *told)
+        others = diagnose(
+            source,
+            tool=options.tool,
+            package_paths=options.package_paths,
+            xacro_arguments=options.xacro_arguments,
+        )
         first = Finding(WRONG, str(error))
         # what the adoption would have mended is not reported of a file that it could not read
         others = [f for f in others if f.level == WRONG and not f.mended]

@@ -143,7 +143,7 @@ def _next_branches(
 def _advance(cell: Workcell, settings: _Settings, search: _Search, key: Array) -> _Search:
     """Walk on along all branches, add nodes to the trees, and begin the next branches.
 
-    A search that is solved stays as it is, while others in lockstep go on.
+    Trees and join of a solved search stay as they are, while others in lockstep go on.
     """
     branches = search.branches
     walked, blocked, arrived = _walk(cell, branches, settings)

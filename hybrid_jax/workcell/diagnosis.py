@@ -99,7 +99,8 @@ def _but_for_meshes(path: Path, tool: str, packages, arguments) -> list[Finding]
     if found and end:
         set_tool(spec, end)
     model = tried([], lambda: compile_spec(spec))
-    _ = model and tried(found, lambda: find_layout(model, None, end))
+    if model is not None:
+        tried(found, lambda: find_layout(model, None, end))
     return found
 
 

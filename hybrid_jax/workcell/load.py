@@ -108,13 +108,13 @@ def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", "Attaching a spec", UserWarning)
             return spec.compile()
-    except ValueError:
+    except ValueError as error:
         missing = _missing_files(spec)
-        if not missing:
+        # files of attached models lie elsewhere: only what MuJoCo itself misses counts
+        if not any(Path(file).name in str(error) for file in missing):
             raise
-        raise WorkcellError(
-            f"files that the model names are missing: {', '.join(missing)}"
-        ) from None
+        text = f"files that the model names are missing: {', '.join(missing)}"
+        raise WorkcellError(text) from None
 
 
 def _missing_files(spec: mujoco.MjSpec) -> list[str]:
