@@ -66,6 +66,11 @@ Switcher = Callable[[Combined], np.ndarray]
 """From both motions of a phase to the choice at each point `[STEPS]`: 0 skill, 1 joint agent."""
 
 
+Executor = Callable[[Scene, np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""From a scene and motions `[motion, point, joint]` [rad or m] to the configurations that the arm
+passes when it executes them, of the same shape, and `[motion, point]` True where it collides."""
+
+
 @dataclass(frozen=True)
 class PlanResult:
     """A plan, or the reason why there is none."""

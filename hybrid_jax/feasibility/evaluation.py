@@ -16,7 +16,7 @@ from hybrid_jax.ik import IkConfig
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.damped_least_squares import descend
 from hybrid_jax.kernels.kinematics import manipulability, tool_pose
-from hybrid_jax.mjx.collision import backend
+from hybrid_jax.mjx.collision import CLOSEST, Backend, compiler_options, find_backend
 from hybrid_jax.runtime.devices import Spread
 from hybrid_jax.types import Workcell
 
@@ -81,12 +81,16 @@ def _sample(cell: Workcell, q):
 
 
 @functools.cache
-def _programs(ik: IkConfig, margin: float, check, devices: tuple):
+def _programs(ik: IkConfig, margin: float, backend: Backend, devices: tuple):
     """Compiled programs, shared by all builds that differ in their grids only."""
-    spread = Spread(devices)
-    attempt = functools.partial(_attempt, ik=ik, margin=margin, check=check)
+    spread, options = Spread(devices), compiler_options(backend)
+    attempt = functools.partial(_attempt, ik=ik, margin=margin, check=CLOSEST[backend])
     stretch = functools.partial(_stretch, ik=ik)
-    return spread.over(attempt, 3, 2), spread.over(stretch, 3, 2), spread.over(_sample, 1)
+    return (
+        spread.over(attempt, 3, 2, options),
+        spread.over(stretch, 3, 2),
+        spread.over(_sample, 1),
+    )
 
 
 class Judge:
@@ -105,7 +109,7 @@ class Judge:
         self.batch = -(-config.batch // count) * count
         self._cell = self._spread.share(cell)
         programs = _programs(
-            config.ik, config.margin, backend(config.backend), tuple(self._spread.devices)
+            config.ik, config.margin, find_backend(config.backend), tuple(self._spread.devices)
         )
         self._attempt, self._stretch, self._sample = programs
         self.floor = np.float32(0.0)

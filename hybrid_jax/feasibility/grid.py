@@ -6,6 +6,7 @@ A flat index runs through the grid `[x, y, z, orientation]` with the orientation
 
 import itertools
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -44,7 +45,7 @@ class MapConfig:
     """Clearance that a feasible configuration keeps [m]."""
     least_manipulability: float = 0.1
     """Smallest `man'` of a feasible pose, as a share of the 95th percentile."""
-    backend: str = "fused"
+    backend: Literal["fused", "mjx"] = "fused"
     """What checks collisions: `fused` (our kernels) or `mjx`."""
     batch: int = 4096
     """Poses per call of the compiled programs."""

@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from hybrid_jax.contracts import STEPS, Combined
+from hybrid_jax.contracts import STEPS, Combined, Executor
 from hybrid_jax.kernels.kinematics import chain_manipulability
 from hybrid_jax.planner.smoothing import at_places
 from hybrid_jax.runtime.kept_programs import kept
@@ -105,13 +105,16 @@ def _portion(path: np.ndarray, low: float, high: float) -> np.ndarray:
     return at_places(path, np.unique(np.concatenate([[low], inner, [high]])))
 
 
-def combine(cell: Workcell, phase: PhasePath, scale: float) -> Combined:
+def combine(
+    cell: Workcell, phase: PhasePath, scale: float, execute: Executor | None = None
+) -> Combined:
     """Both motions of a phase on the grid of the switching agent (traj_comb).
 
     Args:
-        cell: the robot, for manipulability.
+        cell: the robot, for manipulability, and the scene of the phase.
         phase: the skill's joint path and the motions that bridge its gaps.
         scale: manipulability that counts as 1.
+        execute: judges points by what becomes of them; as they are planned if None.
 
     Returns:
         Configurations, manipulability and feasibility of both motions on `STEPS` grid points, on
@@ -127,9 +130,10 @@ def combine(cell: Workcell, phase: PhasePath, scale: float) -> Combined:
         q_drl[in_window] = at_places(window.path, _places(window.path, shares[in_window]))
     available = (window_at >= 0).astype(np.float32)
     q = np.stack([q_skill, q_drl]).astype(np.float32)
-    man = np.asarray(_manipulabilities(cell.chain, q.reshape(-1, q.shape[-1])))
+    passed, collides = execute(cell.scene, q) if execute else (q, np.zeros(q.shape[:2], bool))
+    man = np.asarray(_manipulabilities(cell.chain, passed.reshape(-1, q.shape[-1])))
     man_share = np.clip(man / scale, 0, 1).reshape(2, STEPS)
-    infeasible = np.stack([~ok, available == 0])
+    infeasible = np.stack([~ok, available == 0]) | collides
     leaves: list[Any] = [np.asarray(a, np.float32) for a in (q, man_share, infeasible, available)]
     return Combined(*leaves)
 

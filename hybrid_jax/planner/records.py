@@ -3,7 +3,7 @@
 
 from dataclasses import dataclass, replace
 
-from hybrid_jax.contracts import Bridger, SkillChooser, Switcher
+from hybrid_jax.contracts import Bridger, Executor, SkillChooser, Switcher
 from hybrid_jax.planner.key_pose_ik import PathIkConfig
 from hybrid_jax.planner.smoothing import SmoothingConfig
 from hybrid_jax.planner.timing import TimingConfig
@@ -66,3 +66,6 @@ class Planner:
     fallback: Bridger | None = None
     """A planner without learning in this cell, for gaps that the joint agent does not bridge; see
     `bridging.rrt_bridger`. None gives up there."""
+    execute: Executor | None = None
+    """Judges the points of both motions by what becomes of them in simulation, for the switching
+    agent; None judges them as they are planned."""

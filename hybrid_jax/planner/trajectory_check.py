@@ -11,6 +11,7 @@ accelerations from differences of the timed points.
 import copy
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Literal
 
 import mujoco
 import numpy as np
@@ -42,6 +43,8 @@ class CheckConfig:
     """Rotation error there [rad] (5 deg)."""
     slack: float = 1.01
     """Factor on the velocity and acceleration limits."""
+    backend: Literal["fused", "mjx"] = "fused"
+    """`mjx`: MJX looks at the configurations as well, beside C MuJoCo and the kernels."""
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from hybrid_jax.kernels.collision.motion_validation import (
     path_is_free,
     paths_are_free,
 )
+from hybrid_jax.mjx.collision import smallest_clearance
 from hybrid_jax.planner import combined_path, smoothing, timing, trajectory_check
 from hybrid_jax.planner.branch_selection import Leg
 from hybrid_jax.planner.bridging import Way
@@ -72,12 +73,8 @@ def phase_paths(planner: Planner, drafts: list[Draft], measure: Measure) -> list
     Returns:
         For each phase the skill's joint path `[point, joint]` and the motions over its gaps.
     """
-    gaps = [
-        (number, leg.name)
-        for number, draft in enumerate(drafts)
-        for leg in draft.legs
-        if leg.has_gap and leg.name in draft.ways
-    ]
+    legs = [(number, leg) for number, draft in enumerate(drafts) for leg in draft.legs]
+    gaps = [(i, leg.name) for i, leg in legs if leg.has_gap and leg.name in drafts[i].ways]
     shortened = shortcut_paths(
         measure_some(measure, np.array([number for number, _ in gaps], int)),
         [drafts[number].ways[name].path for number, name in gaps],
@@ -103,12 +100,12 @@ def _phase_path(draft: Draft, number: int, bridged: dict[tuple, np.ndarray]) -> 
     return PhasePath(np.concatenate(q), np.concatenate(feasible), windows)
 
 
-def _candidates(planner: Planner, phase: PhasePath):
+def _candidates(planner: Planner, cell: Workcell, phase: PhasePath):
     """Joint paths of a phase, with sources: first the switch's choice, then all bridged gaps."""
     if not phase.windows:  # there is nothing to choose
         yield combined_path.follow_windows(phase)
         return
-    combined = combined_path.combine(planner.cell, phase, planner.scale)
+    combined = combined_path.combine(cell, phase, planner.scale, planner.execute)
     choice = planner.switch(combined)
     yield combined_path.assemble(choice, phase)
     if not (np.asarray(choice) == np.asarray(combined.available)).all():
@@ -172,6 +169,8 @@ def motion_faults(
         gap = path_clearance(cell, points).min()
         where = "between the points that are looked at it is not proven free; there, "
         faults.append(f"{where if gap >= 0 else ''}clearance falls to {1e3 * gap:.1f} mm")
+    if checker.config.backend == "mjx" and (gap := smallest_clearance(cell, points)) < 0:
+        faults.append(f"by MJX, clearance falls to {1e3 * gap:.1f} mm")
     touched = trajectory_check.collision_fault(checker, scene, trajectory.positions)
     return [*faults, touched] if touched else faults
 
@@ -229,7 +228,8 @@ def finish_phases(
     ]
     cell, scenes = planner.cell, first_scenes(drafts)
     measure = measure_in_scenes(cell, scenes)
-    paths = [_candidates(planner, phase) for phase in phase_paths(planner, drafts, measure)]
+    phases = enumerate(phase_paths(planner, drafts, measure))
+    paths = [_candidates(planner, inside(cell, scenes, i), phase) for i, phase in phases]
     pending, tried = list(range(len(drafts))), {}
     while pending:
         # the next path of every phase that has no trajectory yet, as far as there is one

@@ -64,13 +64,14 @@ class Spread:
         """`array` cut along its first axis, one piece on each device."""
         return jax.device_put(array, self._split)
 
-    def over(self, function, items: int, shared: int = 0):
+    def over(self, function, items: int, shared: int = 0, options: dict | None = None):
         """Compile `function(cell, *items, *shared)` of one item for batches.
 
         Args:
             function: its first argument is the same for all items.
             items: number of next arguments, which have one entry per item.
             shared: number of further arguments that are the same for all items.
+            options: of XLA's compiler; `vector_options` if None.
 
         Returns:
             A function of the same arguments, those per item as `[item, ...]`, to `[item, ...]`.
@@ -86,4 +87,5 @@ class Spread:
         mapped = jax.shard_map(
             run, mesh=self.mesh, in_specs=specs, out_specs=by_item, check_vma=False
         )
-        return jax.jit(mapped, compiler_options=vector_options())
+        options = vector_options() if options is None else options
+        return jax.jit(mapped, compiler_options=options)

@@ -145,6 +145,7 @@ def compile_workcell(
     mesh_tolerance: float = MESH_TOLERANCE,
     path: Path | None = None,
     tool: str = "",
+    spec: mujoco.MjSpec | None = None,
 ) -> Workcell:
     """Turn a compiled model into the pytree that the kernels read.
 
@@ -155,6 +156,7 @@ def compile_workcell(
         mesh_tolerance: how far the polytope of a mesh may stand out of its convex hull [m].
         path: of the file that the model was read from.
         tool: site that is the tool; as the task data say, or a usual name, if empty.
+        spec: what the model was compiled from, if that is known.
 
     Returns:
         The cell with its objects in their bodies' frames: place them by `place_objects`. Its lists
@@ -199,7 +201,10 @@ def compile_workcell(
         fixture_bodies=bodies,
         path=path,
         tool=tool,
+        spec=spec,
     )
     cell = Workcell(**arrays, owners=np.array(owners, np.int32), scene=scene, source=source)
+    cell = fill_up(cell)
+    cell.source.arrays = cell.for_programs()
     # made on the host and moved together: each operation on the device would be compiled
-    return jax.device_put(fill_up(cell))
+    return jax.device_put(cell)

@@ -134,10 +134,11 @@ def _compile(
     tool: str,
     package_paths: Sequence[Path],
     xacro_arguments: Mapping[str, str] | None,
-) -> mujoco.MjModel:
+) -> tuple[mujoco.MjModel, mujoco.MjSpec | None]:
     if path.suffix.lower() == ".mjb":
-        return mujoco.MjModel.from_binary_path(str(path))
-    return compile_spec(read_spec(path, tool, package_paths, xacro_arguments))
+        return mujoco.MjModel.from_binary_path(str(path)), None
+    spec = read_spec(path, tool, package_paths, xacro_arguments)
+    return compile_spec(spec), spec
 
 
 def read_model(
@@ -146,6 +147,16 @@ def read_model(
     package_paths: Sequence[Path] = (),
     xacro_arguments: Mapping[str, str] | None = None,
 ) -> mujoco.MjModel:
+    """Compile an MJCF, URDF or MJB file; see `read_model_and_spec`."""
+    return read_model_and_spec(path, tool, package_paths, xacro_arguments)[0]
+
+
+def read_model_and_spec(
+    path: Path,
+    tool: str = "",
+    package_paths: Sequence[Path] = (),
+    xacro_arguments: Mapping[str, str] | None = None,
+) -> tuple[mujoco.MjModel, mujoco.MjSpec | None]:
     """Compile an MJCF, URDF or MJB file; see `read_spec`.
 
     Args:
@@ -154,6 +165,9 @@ def read_model(
         package_paths: folders that hold the ROS packages of a URDF's meshes.
         xacro_arguments: values of a xacro file's arguments by their names.
 
+    Returns:
+        The model, and the spec that it was compiled from: None for an MJB file.
+
     Raises:
         WorkcellError: MuJoCo cannot read it (its own message is passed on), a number in it is not
             finite or absurd, or nothing tells which frame of a URDF is the tool.
@@ -161,7 +175,7 @@ def read_model(
     """
     try:
         with engine_messages(path.name):
-            model = _compile(path, tool, package_paths, xacro_arguments)
+            model, spec = _compile(path, tool, package_paths, xacro_arguments)
     except ValueError as error:
         if isinstance(error, HybridJaxError):
             raise
@@ -173,7 +187,7 @@ def read_model(
     for name in _NUMBERS:
         if not (np.abs(getattr(model, name)) < _ABSURD).all():
             raise WorkcellError(f"{path.name}: {name} holds a number that is not finite or absurd")
-    return model
+    return model, spec
 
 
 @single_precision
@@ -210,8 +224,8 @@ def load_workcell(
     require_device()
     path = find_workcell(name_or_path)
     task = read_task_data(path.with_suffix(".toml"))
-    model = read_model(path, tool, package_paths, xacro_arguments)
-    cell = compile_workcell(model, path.stem, task, mesh_tolerance, path, tool)
+    model, spec = read_model_and_spec(path, tool, package_paths, xacro_arguments)
+    cell = compile_workcell(model, path.stem, task, mesh_tolerance, path, tool, spec)
     for sentence in home_overlaps(model, cell.source.layout):
         raise WorkcellError(sentence)
     objects, home = cell.scene.objects, home_qpos(model)

@@ -1,16 +1,31 @@
 # SPDX-License-Identifier: MIT
 """The host side of a cell."""
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, TypeVar
 
 import mujoco
+
+T = TypeVar("T")
 
 
 class WorkcellSource:
     """Host-side half of a cell; two loads of one file are equal and so share compiled code."""
 
     def __init__(
-        self, *, name, digest, model, layout, task, owners, fixture_bodies, path=None, tool=""
+        self,
+        *,
+        name,
+        digest,
+        model,
+        layout,
+        task,
+        owners,
+        fixture_bodies,
+        path=None,
+        tool="",
+        spec=None,
     ):
         self.name: str = name
         self.path: Path | None = path
@@ -28,6 +43,18 @@ class WorkcellSource:
         """Object of each primitive of `Workcell.objects`; -1 of empty slots."""
         self.fixture_bodies: tuple[str, ...] = fixture_bodies
         """Body of each primitive of `Workcell.fixtures`; empty strings for empty slots."""
+        self.spec: mujoco.MjSpec | None = spec
+        """What the model was compiled from; None for a model that came compiled."""
+        self._made: dict[Callable, Any] = {}
+        self.arrays: Any = None
+        """The `Workcell` as it was compiled, its arrays on the host: objects in their bodies'
+        frames, nothing held."""
+
+    def once(self, make: Callable[["WorkcellSource"], T]) -> T:
+        """What a function makes of this cell, made once and kept as long as the cell."""
+        if make not in self._made:
+            self._made[make] = make(self)
+        return self._made[make]
 
     @property
     def joint_names(self) -> tuple[str, ...]:
