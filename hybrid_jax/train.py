@@ -7,7 +7,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import tyro
 
@@ -26,6 +26,8 @@ def main(
     skills: Path | None = None,
     tool: str = "",
     package_path: tuple[Path, ...] = (),
+    backend: Literal["", "fused", "mjx"] = "",
+    physics: Literal["", "kinematic", "mjx"] = "",
     resume: bool = False,
     show_settings: bool = False,
     tensorboard: bool = False,
@@ -40,13 +42,17 @@ def main(
     Args:
         stages: map lfd drl switch showcase; all of them if none is named.
         workcell: name of a shipped cell, or an MJCF or URDF file; the handling cell if not given.
-        preset: default, paper or smoke; default if not given.
+        preset: default, mjx, paper or smoke; default if not given.
         config: JSON file with settings that differ from the preset's, or a run's config.json.
         seed: of everything random; 0 if not given.
         out: folder of the run; runs/CELL-NNN if not given.
         skills: folder of demonstrations to plan with; the shipped ones if not given.
         tool: site or link that is the tool, where the model does not tell.
         package_path: folders that hold the ROS packages of a URDF's meshes.
+        backend: what tells collisions, of the map, the agents and the final check: this package's
+            kernels (fused) or MJX's functions; the preset's if not given.
+        physics: where the joint agent's arm gets to and what the switching agent judges: what is
+            planned (kinematic), or what the servos make of it (mjx); the preset's if not given.
         resume: go on with the run in --out, or with the newest run of the cell.
         show_settings: print all settings as a file for --config, and do nothing else.
         tensorboard: write the metrics for TensorBoard as well, into RUN/tensorboard.
@@ -56,16 +62,18 @@ def main(
     """
     # JAX is imported only now: --help and a mistyped name answer at once
     from hybrid_jax.runs import run_folder
+    from hybrid_jax.runs.own_settings import Changes
     from hybrid_jax.runtime.devices import use_all_cores
 
     for stage in stages:
         if stage not in run_folder.STAGES:
             raise UnknownNameError("stage", stage, run_folder.STAGES)
+    changes = Changes(config, backend or None, physics or None, settings)
     if show_settings:
-        return print_settings(preset, config, settings, json)
+        return print_settings(preset, changes, json)
     use_all_cores()
     request = RunRequest(workcell, preset, seed, out, skills, tool, package_path)
-    run = (resumed_run if resume else new_run)(request, config, settings)
+    run = (resumed_run if resume else new_run)(request, changes)
     if not quiet:
         remark(f"run folder: {run.folder}")
     if tensorboard:
@@ -82,12 +90,12 @@ def main(
     return STOPPED if rows and rows[-1].get("stopped") else 0
 
 
-def print_settings(preset: str, config: Path | None, settings: tuple[str, ...], json: bool) -> int:
+def print_settings(preset: str, changes, json: bool) -> int:
     """Print all settings that a run would have; returns the exit code."""
     from hybrid_jax.runs import own_settings
     from hybrid_jax.runs.presets import find_preset
 
-    effective = own_settings.changed(find_preset(preset or "default"), config, settings)
+    effective = own_settings.changed(find_preset(preset or "default"), changes)
     answer(own_settings.as_file(effective), own_settings.as_values(effective), json)
     return 0
 
@@ -111,7 +119,7 @@ class RunRequest(NamedTuple):
     package_path: tuple[Path, ...]
 
 
-def new_run(request: RunRequest, config: Path | None, settings: tuple[str, ...]):
+def new_run(request: RunRequest, changes):
     """Create the run that is asked for, with the preset's settings as far as none are given."""
     from hybrid_jax.runs import own_settings, run_folder
     from hybrid_jax.runs.presets import find_preset
@@ -126,11 +134,11 @@ def new_run(request: RunRequest, config: Path | None, settings: tuple[str, ...])
         request.skills,
         request.tool,
         request.package_path,
-        own_settings.changed(find_preset(name), config, settings),
+        own_settings.changed(find_preset(name), changes),
     )
 
 
-def resumed_run(request: RunRequest, config: Path | None, settings: tuple[str, ...]):
+def resumed_run(request: RunRequest, changes):
     """Open the run that is to go on; one with other settings than those asked for is refused."""
     from hybrid_jax.runs import own_settings, run_folder
     from hybrid_jax.runs.presets import find_preset
@@ -145,7 +153,7 @@ def resumed_run(request: RunRequest, config: Path | None, settings: tuple[str, .
         "tool": request.tool or None,
         "package_paths": tuple(path.resolve() for path in request.package_path) or None,
     }
-    own_settings.refuse_other_settings(run, requested, config, settings)
+    own_settings.refuse_other_settings(run, requested, changes)
     return run
 
 

@@ -11,6 +11,7 @@ from hybrid_jax.agents.sac import SacConfig
 from hybrid_jax.envs.paper_reach import PaperReachConfig
 from hybrid_jax.errors import InputError, RunFolderError, UnknownNameError
 from hybrid_jax.runs import own_settings
+from hybrid_jax.runs.own_settings import Changes
 from hybrid_jax.runs.presets import PRESETS, SMOKE, Preset, find_preset
 from hybrid_jax.runs.run_folder import Run, create_run, open_run
 from hybrid_jax.runs.settings import as_values, differences, from_values, merged
@@ -55,7 +56,9 @@ def test_a_wrong_setting_is_named(change, message):
 def test_a_file_then_options_change_a_preset(tmp_path):
     file = tmp_path / "own.json"
     file.write_text('{"tasks": 9, "joint": {"training": {"steps": 640}}, "fallback": null}')
-    found = own_settings.changed(SMOKE, file, ("--tasks", "11", "--joint.rollouts", "2", "3"))
+    found = own_settings.changed(
+        SMOKE, Changes(file, options=("--tasks", "11", "--joint.rollouts", "2", "3"))
+    )
     assert list(differences(SMOKE, found)) == [
         ("joint.training.steps", 16_384, 640),
         ("joint.rollouts", SMOKE.joint.rollouts, (2, 3)),
@@ -63,10 +66,26 @@ def test_a_file_then_options_change_a_preset(tmp_path):
         ("tasks", 4, 11),
     ]
     file.write_text(json.dumps({"preset": "smoke", "configuration": as_values(found)}))
-    assert own_settings.changed(SMOKE, file, ()) == found
+    assert own_settings.changed(SMOKE, Changes(file)) == found
     file.write_text("{")
     with pytest.raises(InputError, match=r"own\.json"):
-        own_settings.changed(SMOKE, file, ())
+        own_settings.changed(SMOKE, Changes(file))
+
+
+def test_backend_and_physics_change_all_that_uses_them():
+    on_mjx = own_settings.changed(SMOKE, Changes(backend="mjx", physics="mjx"))
+    assert [name for name, _, _ in differences(SMOKE, on_mjx)] == [
+        "map.backend",
+        "joint.reach.backend",
+        "joint.reach.physics",
+        "switch.backend",
+        "switch.physics",
+        "planner.check.backend",
+    ]
+    kept = own_settings.changed(on_mjx, Changes(physics="kinematic"))
+    assert kept.joint.reach.backend == "mjx" and kept.joint.reach.physics == "kinematic"
+    with pytest.raises(InputError, match="preset 'paper'"):
+        own_settings.changed(find_preset("paper"), Changes(backend="mjx"))
 
 
 def test_options_of_the_command_and_settings_are_told_apart():
@@ -86,12 +105,12 @@ def test_a_run_keeps_its_settings(tmp_path):
     run = open_run(tmp_path / "run")
     assert run.preset == own and run.preset_name == "smoke"
     own_settings.refuse_other_settings(
-        run, {"seed": 0, "preset_name": None}, None, ("--tasks", "5")
+        run, {"seed": 0, "preset_name": None}, Changes(options=("--tasks", "5"))
     )
     with pytest.raises(RunFolderError, match="begun with tasks 5, not 6"):
-        own_settings.refuse_other_settings(run, {}, None, ("--tasks", "6"))
+        own_settings.refuse_other_settings(run, {}, Changes(options=("--tasks", "6")))
     with pytest.raises(RunFolderError, match="begun with seed 0, not 3"):
-        own_settings.refuse_other_settings(run, {"seed": 3}, None, ())
+        own_settings.refuse_other_settings(run, {"seed": 3}, Changes())
 
 
 def test_a_run_of_the_former_format_is_refused(tmp_path):
@@ -100,7 +119,7 @@ def test_a_run_of_the_former_format_is_refused(tmp_path):
     values = json.loads(path.read_text())
     path.write_text(json.dumps({k: v for k, v in values.items() if k != "format"}))
     with pytest.raises(
-        RunFolderError, match="of format 1, this version reads 4: train the run anew"
+        RunFolderError, match="of format 1, this version reads 5: train the run anew"
     ):
         open_run(tmp_path)
     values["configuration"]["planner"]["labels"] = values["configuration"]["planner"].pop("path_ik")

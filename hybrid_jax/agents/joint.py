@@ -13,6 +13,7 @@ from hybrid_jax.contracts import Segments
 from hybrid_jax.envs import base
 from hybrid_jax.envs.paper_reach import PaperReachConfig, PaperReachEnv
 from hybrid_jax.envs.reach import ReachConfig, ReachEnv
+from hybrid_jax.runtime.compiler_options import quick_options
 from hybrid_jax.types import Workcell
 
 WIDEST = 1.5
@@ -64,6 +65,16 @@ def planning_env(
     if isinstance(config.reach, ReachConfig):
         config = replace(config, reach=replace(config.reach, edge_samples=config.edge_samples))
     return make_env(cell, segments, config)
+
+
+def uses_mjx(config: JointAgentConfig) -> bool:
+    """Is MJX part of a step of the agent's environment?"""
+    return isinstance(config.reach, ReachConfig) and config.reach.uses_mjx
+
+
+def compiler_options(config: JointAgentConfig) -> dict[str, int | bool]:
+    """Options of XLA's compiler for programs of the agent's rollouts; none by default."""
+    return quick_options() if uses_mjx(config) else {}
 
 
 def observation_length(cell: Workcell, config: JointAgentConfig) -> int:
@@ -162,11 +173,11 @@ def success_rates(
     count = segments.start.shape[0]
     index, spread = jnp.tile(jnp.arange(count), 16), jnp.repeat(spreads(16), count)
 
-    @jax.jit
     def run(policy, segments, key):
         env = planning_env(cell, segments, config)
         return rollouts(env, net, policy, index, spread, key)[1]
 
-    reached = np.asarray(run(policy, segments, key))
+    compiled = jax.jit(run, compiler_options=compiler_options(config))
+    reached = np.asarray(compiled(policy, segments, key))
     table = reached.reshape(16, count)
     return float(table[0].mean()), float(table.any(axis=0).mean())

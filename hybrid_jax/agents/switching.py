@@ -18,6 +18,8 @@ from jaxtyping import Float, PRNGKeyArray
 from hybrid_jax.agents import networks, ppo
 from hybrid_jax.contracts import STEPS, Combined, Switcher
 from hybrid_jax.envs.base import StepResult
+from hybrid_jax.mjx.collision import Backend
+from hybrid_jax.mjx.executed_motion import Physics
 from hybrid_jax.runtime.kept_programs import kept
 from hybrid_jax.types import Record, pytree
 
@@ -37,6 +39,10 @@ class SwitchConfig:
     """Cost of changing the source."""
     allowed: float = 0.15
     """Joint step between grid points that costs nothing [rad]."""
+    backend: Backend = "fused"
+    """What tells whether a point collides: `fused` (the labels of the skill) or `mjx`."""
+    physics: Physics = "kinematic"
+    """What is judged: a motion as it is planned, or as the arm's servos execute it (`mjx`)."""
     scale: float = 0.1
     """Factor on the reward, to bring it to order one."""
     training: ppo.PpoConfig = ppo.PpoConfig(

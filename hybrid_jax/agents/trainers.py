@@ -56,6 +56,11 @@ def pick_devices(config: ppo.PpoConfig) -> list[Any]:
     ]
 
 
+def _options(env: base.Env) -> dict[str, int | bool]:
+    """Options of XLA's compiler that suit the steps of an environment."""
+    return getattr(env, "compiler_options", vector_options())
+
+
 class PpoPrograms:
     """Compiled programs of one PPO training, over some devices."""
 
@@ -87,7 +92,7 @@ class PpoPrograms:
         self.reset = jax.jit(on_devices(self._reset, in_specs=replicated, out_specs=by_copy))
         self.collect = jax.jit(
             on_devices(self._collect, in_specs=(replicated, by_copy), out_specs=(by_copy, data)),
-            compiler_options=vector_options(),
+            compiler_options=_options(env),
         )
         self.update = jax.jit(
             on_devices(
@@ -151,7 +156,7 @@ class SacPrograms:
     def __init__(self, env: base.Env, net: ActorCritic, config: sac.SacConfig, devices=None):
         self.env, self.net, self.config = env, net, config
         self.device = (devices or jax.local_devices())[0]
-        self.collect = jax.jit(jax.vmap(self._collect), compiler_options=vector_options())
+        self.collect = jax.jit(jax.vmap(self._collect), compiler_options=_options(env))
         self.remember = jax.jit(jax.vmap(self._remember))
         self.improve = jax.jit(jax.vmap(self._improve))
         self.report = jax.jit(jax.vmap(sac.report))

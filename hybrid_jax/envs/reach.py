@@ -4,7 +4,7 @@
 Everything runs on the kernels, so thousands of copies live in one compiled program. A move that
 would bring the robot closer than the margin is not made: a rollout's way points are always free.
 With `physics="mjx"` the arm's servos carry out a move, in dynamics, and it ends where they get to:
-there the commanded line is free, the servos' way is not checked.
+there the way is checked that the arm takes, and a move that comes too close is taken back.
 
 One choice makes it learnable in a minute: the action corrects a straight step towards the goal and
 fades out beside it. So an untrained agent already solves what a straight line solves, and ends
@@ -14,7 +14,6 @@ follows an expert's path nor starts along that path made a difference: there are
 
 import math
 from dataclasses import dataclass
-from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -24,9 +23,9 @@ from jaxtyping import Float, PRNGKeyArray
 from hybrid_jax.contracts import Segments
 from hybrid_jax.envs.base import StepResult
 from hybrid_jax.kernels import dualquat as dq
-from hybrid_jax.kernels.collision.clearance import clearance_up_to
 from hybrid_jax.kernels.kinematics import tool_pose
-from hybrid_jax.mjx.collision import backend
+from hybrid_jax.mjx.collision import CLEARANCE_UP_TO, Backend, compiler_options
+from hybrid_jax.mjx.executed_motion import Physics
 from hybrid_jax.mjx.servos import Body, Servos
 from hybrid_jax.types import Record, Workcell, pytree
 
@@ -59,9 +58,9 @@ class ReachConfig:
     """Clearance that a move must keep [m]."""
     edge_samples: int = 3
     """Clearance checks along a move."""
-    backend: str = "fused"
-    """Collision checker: `fused` (the package's kernels) or `mjx` (without the payload)."""
-    physics: Literal["kinematic", "mjx"] = "kinematic"
+    backend: Backend = "fused"
+    """Collision checker: `fused` (the package's kernels) or `mjx`."""
+    physics: Physics = "kinematic"
     """Kind of a move: a step of the joints, or the arm's servos commanded for `period`."""
     period: float = 0.1
     """Duration of a move in dynamics [s]."""
@@ -73,6 +72,11 @@ class ReachConfig:
     """Cost of a move that was not made."""
     success_bonus: float = 2.0
     """Reward for reaching the goal."""
+
+    @property
+    def uses_mjx(self) -> bool:
+        """Is MJX part of a step?"""
+        return "mjx" in (self.backend, self.physics)
 
 
 @pytree
@@ -119,6 +123,11 @@ class ReachEnv:
         self.action_size = cell.home.size
         self.observation_size = self.observation_length(cell)
         self.servos = Servos(cell, config.period) if config.physics == "mjx" else None
+
+    @property
+    def compiler_options(self) -> dict[str, int | bool]:
+        """Options of XLA's compiler for programs that take steps."""
+        return compiler_options("mjx" if self.config.uses_mjx else "fused")
 
     @staticmethod
     def observation_length(cell: Workcell) -> int:
@@ -211,14 +220,8 @@ class ReachEnv:
 
     def gap(self, cell: Workcell, points: Float[Array, "sample n"]) -> Float[Array, ""]:
         """Smallest clearance `[]` at configurations `[sample, joint]`, up to the margin [m]."""
-        if self.config.backend == "fused":
-            clearances = jax.vmap(clearance_up_to, (None, 0, None))(
-                cell, points, self.config.margin
-            )
-        else:
-            check = backend(self.config.backend)
-            clearances = jax.vmap(lambda q: check(cell, q)[0])(points)
-        return jnp.min(clearances)
+        measure = CLEARANCE_UP_TO[self.config.backend]
+        return jnp.min(jax.vmap(measure, (None, 0, None))(cell, points, self.config.margin))
 
     def reached(self, segment: Array, q: Array, pose: Array) -> Array:
         """Is the tool at the goal, and the arm on the goal's branch? A bool `[]`.
@@ -241,13 +244,16 @@ class ReachEnv:
         """Make the move of `action` `[joint]` (-1 to 1) if it keeps the margin, else stay."""
         rules = self.config
         target = self.target(state, action)
-        samples = points_between(state.q, target, rules.edge_samples)
-        gap = self.gap(self._scene(state.segment), samples)
-        free = gap >= rules.margin
-        q, body = jnp.where(free, target, state.q), None
+        scene, body = self._scene(state.segment), None
         if self.servos:
-            body = self.servos.move(state.body, q, self.segments.scene.opening[state.segment])
-            q = self.servos.configuration(body)
+            body, samples = self.servos.move(scene, state.body, target, rules.edge_samples)
+        else:
+            samples = points_between(state.q, target, rules.edge_samples)
+        gap = self.gap(scene, samples)
+        free = gap >= rules.margin
+        q, body = jax.tree.map(
+            lambda made, old: jnp.where(free, made, old), (samples[-1], body), (state.q, state.body)
+        )
         pose = tool_pose(self.cell, q)
         reached = self.reached(state.segment, q, pose)
         potential = self.potential(state.segment, q)

@@ -8,11 +8,12 @@ import jax
 
 from hybrid_jax.agents import dqn, joint, networks, switching
 from hybrid_jax.agents.joint_bridger import make_bridger
-from hybrid_jax.contracts import Bridger, SkillChooser, Switcher
+from hybrid_jax.contracts import Bridger, Executor, SkillChooser, Switcher
 from hybrid_jax.demonstrations.demonstration import load_demonstrations
 from hybrid_jax.errors import RunFolderError
 from hybrid_jax.feasibility.map_files import load_map
 from hybrid_jax.kernels.argument_checks import single_precision
+from hybrid_jax.mjx.executed_motion import make_executor
 from hybrid_jax.planner.bridging import rrt_bridger
 from hybrid_jax.planner.lfd import optimal_chooser
 from hybrid_jax.planner.records import Planner, PlannerConfig
@@ -70,6 +71,14 @@ def learned_switcher(run: Run) -> Switcher:
         run, "switch.npz", "switching agent", net, switching.SwitchEnv.observation_length(joints)
     )
     return switching.make_switcher(policy, config)
+
+
+def load_executor(run: Run) -> Executor | None:
+    """What judges the motions that the switching agent chooses between, if the preset has one."""
+    config = run.preset.switch
+    if (config.backend, config.physics) == ("fused", "kinematic"):
+        return None
+    return make_executor(run.cell, config.backend, config.physics)
 
 
 def load_bridger(run: Run, name: str = "drl.npz") -> Bridger:
@@ -152,5 +161,6 @@ def load_planner(run: Run, *, switch: str = "learned") -> Planner:
         switch=learned_switcher(run) if switch == "learned" else optimal_switcher(preset.switch),
         scale=read_scale(run),
         config=preset.planner,
+        execute=load_executor(run),
         fallback=rrt_bridger(cell, preset.fallback),
     )

@@ -2,7 +2,7 @@
 """Named sets of settings."""
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 from hybrid_jax.agents.dqn import DqnConfig
 from hybrid_jax.agents.joint import JointAgentConfig
@@ -10,8 +10,10 @@ from hybrid_jax.agents.ppo import PpoConfig
 from hybrid_jax.agents.switching import SwitchConfig
 from hybrid_jax.envs.paper_reach import PaperReachConfig
 from hybrid_jax.envs.reach import ReachConfig
-from hybrid_jax.errors import UnknownNameError
+from hybrid_jax.errors import InputError, UnknownNameError
 from hybrid_jax.feasibility.grid import MapConfig
+from hybrid_jax.mjx.collision import Backend
+from hybrid_jax.mjx.executed_motion import Physics
 from hybrid_jax.planner.records import PlannerConfig
 from hybrid_jax.planner.rrt_connect import RrtConfig
 from hybrid_jax.skills.library import SkillConfig
@@ -95,6 +97,60 @@ PAPER = Preset(
 )
 """The paper's tables, maps and distances; see docs/differences.md for what still differs."""
 
+
+def judged_by(preset: Preset, backend: Backend | None, physics: Physics | None) -> Preset:
+    """A preset whose map, agents and checks use other collision functions or other physics.
+
+    Args:
+        preset: to change.
+        backend: what tells collisions: of the map, in the joint agent's environment, of the
+            switching agent's motions, and in the final check.
+        physics: `mjx` for the joint agent's arm and the switching agent's motions under servos.
+            None for either leaves it as it is.
+
+    Raises:
+        InputError: the preset learns in the paper's environment, which knows no other.
+    """
+    if not isinstance(preset.joint.reach, ReachConfig):
+        raise InputError(
+            "backend and physics cannot be chosen in the paper's environment of the joint agent "
+            "(preset 'paper'); take another preset"
+        )
+    chosen: dict[str, Any] = {"backend": backend} if backend else {}
+    moved: dict[str, Any] = chosen | ({"physics": physics} if physics else {})
+    reach = replace(preset.joint.reach, **moved)
+    check = replace(preset.planner.check, **chosen)
+    return replace(
+        preset,
+        map=replace(preset.map, **chosen),
+        joint=replace(preset.joint, reach=reach),
+        switch=replace(preset.switch, **moved),
+        planner=replace(preset.planner, check=check),
+    )
+
+
+MJX = judged_by(
+    replace(
+        DEFAULT,
+        map=replace(DEFAULT.map, batch=1024),
+        joint=replace(
+            DEFAULT.joint,
+            training=replace(
+                DEFAULT.joint.training,
+                steps=131_072,
+                envs=128,
+                unroll=16,
+                minibatch=512,
+                epochs=4,
+            ),
+        ),
+    ),
+    "mjx",
+    "mjx",
+)
+"""The default with MJX throughout: kinematics, collision functions and the arm's dynamics. Fewer
+steps, as two cores take a hundred times as long for one; on an accelerator take more."""
+
 SMOKE = Preset(
     map=MapConfig(spacing=0.3, tilts=(0.0,), yaws=(0.0,), batch=256),
     dqn=DqnConfig(rounds=24, updates=4),
@@ -116,7 +172,7 @@ SMOKE = Preset(
 )
 """Settings for tests: every stage runs once and learns next to nothing."""
 
-PRESETS = {"default": DEFAULT, "paper": PAPER, "smoke": SMOKE}
+PRESETS = {"default": DEFAULT, "paper": PAPER, "mjx": MJX, "smoke": SMOKE}
 """Presets by name."""
 
 

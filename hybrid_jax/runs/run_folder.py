@@ -28,7 +28,7 @@ _CONFIG = {
     "configuration": dict,
 }
 """Types of the fields of `config.json`."""
-FORMAT = 4
+FORMAT = 5
 """Version of `config.json`. Version 1 had no names of record kinds; in 1 and 2 the last stage was
 called `demo`. Up to 3 the fallback had sizes of its own."""
 STAGES = ("map", "lfd", "drl", "switch", "showcase")

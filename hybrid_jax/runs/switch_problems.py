@@ -12,6 +12,7 @@ from hybrid_jax.contracts import Combined
 from hybrid_jax.errors import InputError
 from hybrid_jax.kernels.collision.motion_validation import measure_in_scenes
 from hybrid_jax.planner.combined_path import combine
+from hybrid_jax.planner.phase_scenes import inside
 from hybrid_jax.planner.pipeline import Job, bridge_jobs, choose_route, prepare
 from hybrid_jax.planner.records import Planner
 from hybrid_jax.planner.trajectory_check import ConfigurationChecker
@@ -83,9 +84,12 @@ def combined_phases(
     drafts = [draft for job in ready for draft in _drafts(planner, job, gaps_only)]
     if not drafts:
         return []
-    measure = measure_in_scenes(planner.cell, first_scenes(drafts))
-    paths = phase_paths(planner, drafts, measure)
-    return [combine(planner.cell, path, planner.scale) for path in paths]
+    cell, scenes = planner.cell, first_scenes(drafts)
+    paths = phase_paths(planner, drafts, measure_in_scenes(cell, scenes))
+    return [
+        combine(inside(cell, scenes, i), path, planner.scale, planner.execute)
+        for i, path in enumerate(paths)
+    ]
 
 
 def _drafts(planner: Planner, job: Job, gaps_only: bool) -> list[Draft]:
