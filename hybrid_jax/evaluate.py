@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: MIT
 """The study of a run's cell: `python -m hybrid_jax.evaluate --run DIR --out FILE`."""
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 from hybrid_jax.errors import InputError
 from hybrid_jax.runtime.terminal import answer, remark, run_main
@@ -16,6 +18,7 @@ def main(
     runs: int = 100,
     methods: tuple[str, ...] = (),
     seed: int | None = None,
+    engine: Literal["auto", "mujoco", "mjx"] = "auto",
     paper: Path | None = None,
     figures: Path | None = None,
     video: Path | None = None,
@@ -35,6 +38,8 @@ def main(
             named, those of the cell's study.
         seed: of the first scene; if not given, the study's own, which nothing was tuned on
             (`hybrid_jax.runs.seeds`).
+        engine: physics that carries the plans out: C MuJoCo on all cores (mujoco), or MJX (mjx);
+            auto takes the latter on an accelerator.
         paper: folder of a run of preset paper, for method paper; trained into the run's folder
             if not given.
         figures: JSON file for the metrics alone, with command, commit, machine and versions.
@@ -57,7 +62,7 @@ def main(
     study = study_of(opened.cell)
     first = study.SEEDS.start if seed is None else seed
     candidates = [make_method(name, opened, papers) for name in methods or study.METHODS]
-    compared = [method for method in candidates if method]
+    compared = [replace(method, engine=engine) for method in candidates if method]
     if not compared:
         raise InputError(f"nothing is left to compare: {', '.join(methods)} cannot run here")
     if video:
@@ -100,6 +105,7 @@ def run_study(
         "run": str(opened.folder.resolve()),
         "cell": opened.cell.source.digest,
         "paper": str(papers.folder.resolve()) if papers else None,
+        "engine": compared[0].engine,
         "first": seeds.start,
         "runs": len(seeds),
         "commit": commit(),

@@ -203,13 +203,13 @@ def test_mjx_grips_and_lifts_as_c_mujoco_does(gripping, sensed, engine):
 @pytest.mark.slow
 def test_mjx_carries_out_a_plan_as_c_mujoco_does(cell, planned):
     task, result = planned
-    host, device = (execute(cell, task, result, engine=name) for name in ("host", "device"))
+    host, device = (execute(cell, task, result, engine=name) for name in ("mujoco", "mjx"))
     assert device.ending is host.ending is Ending.DONE and device.success and host.success
     np.testing.assert_allclose(device.object_poses[:, :3], host.object_poses[:, :3], atol=1e-2)
 
 
 def test_an_unknown_engine_is_named(cell, planned):
-    with pytest.raises(UnknownNameError, match="device"):
+    with pytest.raises(UnknownNameError, match="mjx"):
         execute(cell, *planned, engine="bullet")
 
 

@@ -24,7 +24,7 @@ from hybrid_jax.runtime.devices import usable_cores
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _COMMAND = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_EQ_ACTIVE
 
-ENGINES = "auto", "host", "device"
+ENGINES = "auto", "mujoco", "mjx"
 """Names of engines."""
 
 States = Float[np.ndarray, "run step state"]
@@ -110,7 +110,7 @@ class DeviceEngine:
 
 
 def make_engine(sensed: SensedCell, name: str = "auto") -> HostEngine | DeviceEngine:
-    """An engine by its name: host (C MuJoCo), device (MJX), or auto.
+    """An engine by its name: mujoco (in C, on all cores), mjx, or auto.
 
     `auto` is MJX on an accelerator and C MuJoCo on a CPU, where it is hundreds of times faster.
 
@@ -120,8 +120,8 @@ def make_engine(sensed: SensedCell, name: str = "auto") -> HostEngine | DeviceEn
     if name not in ENGINES:
         raise UnknownNameError("engine", name, ENGINES)
     if name == "auto":
-        name = "host" if jax.default_backend() == "cpu" else "device"
-    return HostEngine(sensed) if name == "host" else DeviceEngine(sensed)
+        name = "mujoco" if jax.default_backend() == "cpu" else "mjx"
+    return HostEngine(sensed) if name == "mujoco" else DeviceEngine(sensed)
 
 
 class _ById:

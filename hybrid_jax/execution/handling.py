@@ -62,7 +62,7 @@ def sort_scenes(
         names: objects to sort, in the order in which they are tried; all if None.
         disturbance: what differs from what the planner is told.
         config: times and thresholds.
-        engine: host (C MuJoCo), device (MJX) or auto.
+        engine: mujoco (in C, on all cores), mjx, or auto; see `engines.make_engine`.
         progress: is called with the number of ended runs and the simulated time of all runs [s].
 
     Returns:

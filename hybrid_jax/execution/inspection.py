@@ -171,7 +171,7 @@ def inspect_parts(
         trials: parts and seeds.
         disturbance: what differs from what the planner is told.
         config: times.
-        engine: host (C MuJoCo), device (MJX) or auto.
+        engine: mujoco (in C, on all cores), mjx, or auto; see `engines.make_engine`.
         progress: is called with the number of ended trials and the simulated time of all [s].
 
     Returns:

@@ -101,7 +101,7 @@ def execute(
         task: that was planned.
         plan: with status OK.
         config: times and thresholds.
-        engine: host (C MuJoCo), device (MJX) or auto.
+        engine: mujoco (in C, on all cores), mjx, or auto; see `engines.make_engine`.
 
     Returns:
         What happened: outcome, contacts, frames `[frame, nq]`, time [s].
@@ -167,7 +167,7 @@ def carry_out_tasks(
         plan: makes the plans.
         seeds: of the tasks.
         config: times and thresholds.
-        engine: host (C MuJoCo), device (MJX) or auto.
+        engine: mujoco (in C, on all cores), mjx, or auto; see `engines.make_engine`.
         progress: is called with the number of ended runs and the simulated time of all runs [s].
 
     Returns:

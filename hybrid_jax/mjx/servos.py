@@ -3,8 +3,7 @@
 
 The model holds the arm and its gripper alone. Objects are welded where they are, and nothing
 touches: whoever moves the arm checks its way (`mjx.collision`), so contact never comes about, and
-a step takes a thousandth of the time of one with contacts. What the gripper holds is a body at the
-tool whose mass a scene tells.
+a step costs little. What the gripper holds is a body at the tool whose mass a scene tells.
 """
 
 from typing import Any, NamedTuple

@@ -55,6 +55,7 @@ def run_method(
             numbers,
             disturbance=method.disturbance,
             config=method.execution,
+            engine=method.engine,
             progress=progress,
         ),
         quiet,

@@ -56,7 +56,12 @@ def run_method(
         len(trials),
         numbers[0],
         lambda plan, progress: inspect_parts(
-            cell, plan, trials, method.disturbance, progress=progress
+            cell,
+            plan,
+            trials,
+            method.disturbance,
+            engine=method.engine,
+            progress=progress,
         ),
         quiet,
     )

@@ -58,6 +58,8 @@ class Method:
     disturbance: Disturbance = CALM
     execution: ExecutionConfig = ExecutionConfig()
     """Times and thresholds of the execution."""
+    engine: str = "auto"
+    """Physics that carries plans out, see `execution.engines`."""
 
 
 def one_by_one(plan: Callable[..., PlanResult]) -> PlanMany:

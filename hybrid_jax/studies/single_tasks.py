@@ -46,7 +46,7 @@ def run_method(
         len(numbers),
         numbers[0],
         lambda plan, progress: carry_out_tasks(
-            cell, plan, numbers, config=method.execution, progress=progress
+            cell, plan, numbers, method.execution, method.engine, progress
         ),
         quiet,
     )
