@@ -115,6 +115,7 @@ def _fill(judge: Judge, block: Block, limits: np.ndarray, rng, progress) -> Fiel
         if not flood.restart(rng, limits):
             break
         flood.spread(lambda share, k=k: progress(0.75 + 0.25 * (k + share) / config.restarts))
+    flood.climb()
     return flood.field
 
 

@@ -15,6 +15,9 @@ import numpy as np
 from hybrid_jax.feasibility.evaluation import Judge, Level
 from hybrid_jax.feasibility.grid import MapConfig, near_orientations, orientations, poses_at
 
+GAIN = 0.1
+"""Share by which a neighbour's configuration is more manipulable to be tried for that."""
+
 
 @dataclass(frozen=True)
 class Block:
@@ -68,7 +71,10 @@ class Field:
         self.own = np.zeros(block.size, bool)
 
     def improve(self, index: np.ndarray, level, q, gap, man, own) -> None:
-        """Keep attempts that are better than before; of equals in collision, the less deep one.
+        """Keep attempts that are better than before.
+
+        Of equals in collision the less deep one counts, of equals that are free the one with more
+        manipulability: so `fea` is the best that was found.
 
         Args:
             index: `[n]` poses; none twice.
@@ -79,6 +85,7 @@ class Field:
         better = (level > old) | (
             (level == old) & (level == Level.REACHED) & (gap > self.gap[index])
         )
+        better |= (level == old) & (level >= Level.FREE) & (man > self.man[index])
         improved = index[better]
         self.level[improved], self.q[improved] = level[better], q[better]
         self.gap[improved], self.man[improved], self.own[improved] = (
@@ -104,18 +111,17 @@ class Flood:
         self.attempts = 0
         """Attempts made so far."""
 
-    def _their_level(self, way: int) -> np.ndarray:
-        """Level `[x, y, z, turn]` of the neighbours in one direction; 0 outside the block."""
-        level = self.field.level.reshape(self.block.shape)
+    def _of_neighbours(self, values: np.ndarray, way: int) -> np.ndarray:
+        """Values `[x, y, z, turn]` of the neighbours in one direction; 0 outside the block."""
         if way >= 6:
-            return level[..., self._near[:, way - 6]]
+            return values[..., self._near[:, way - 6]]
         axis, forward = way // 2, way % 2 == 0
-        neighbour_level = np.zeros_like(level)
+        theirs = np.zeros_like(values)
         inner, outer = slice(None, -1), slice(1, None)
         target, source = (inner, outer) if forward else (outer, inner)
         lead = (slice(None),) * axis
-        neighbour_level[(*lead, target)] = level[(*lead, source)]
-        return neighbour_level
+        theirs[(*lead, target)] = values[(*lead, source)]
+        return theirs
 
     def _neighbour(self, index: np.ndarray, way: np.ndarray) -> np.ndarray:
         """Flat indices `[n]` of the neighbours of poses `[n]`, each in its own direction."""
@@ -130,7 +136,7 @@ class Flood:
         level = self.field.level.reshape(self.block.shape)
         direction = np.full(self.block.shape, -1, np.int8)
         for k, tried in enumerate(self._tried):
-            neighbour_level = self._their_level(k)
+            neighbour_level = self._of_neighbours(level, k)
             # tried again only when the neighbour has come further than at the last try
             useful = (neighbour_level > level) & (neighbour_level > tried) & (direction < 0)
             direction[useful], tried[useful] = k, neighbour_level[useful]
@@ -153,7 +159,7 @@ class Flood:
         self._try(index, q, self.config.near_iterations)
 
     def restart(self, rng: np.random.Generator, limits: np.ndarray) -> int:
-        """Try a random seed at every pose that is reached but not feasible.
+        """Try a random seed at every pose that is reached: to be feasible, or more manipulable.
 
         Args:
             rng: draws the seeds.
@@ -162,8 +168,7 @@ class Flood:
         Returns:
             How many such poses there are.
         """
-        level = self.field.level
-        index = np.flatnonzero((level == Level.REACHED) | (level == Level.FREE))
+        index = np.flatnonzero(self.field.level >= Level.REACHED)
         if len(index):
             low, high = limits.T
             seed = rng.uniform(low, high, (len(index), len(limits))).astype(np.float32)
@@ -181,6 +186,29 @@ class Flood:
         if unreached.any():
             self._stretch(index[unreached], seed[unreached], iterations)
         return len(index)
+
+    def climb(self) -> None:
+        """Let feasible poses try neighbours whose configurations are clearly more manipulable.
+
+        Neighbours on one branch of inverse kinematics hardly differ: what they have is not tried.
+        """
+        feasible, tried = self.field.level == Level.FEASIBLE, {}
+        for _ in range(self.config.climbs):
+            man = np.where(feasible, self.field.man, 0.0).reshape(self.block.shape)
+            best, direction = man * (1 + GAIN), np.full(self.block.shape, -1, np.int8)
+            for way in range(len(self._tried)):
+                theirs = self._of_neighbours(man, way)
+                useful = (man > 0) & (theirs > np.maximum(best, tried.get(way, 0.0)))
+                best, direction = np.where(useful, theirs, best), np.where(useful, way, direction)
+            index = np.flatnonzero(direction >= 0)
+            if not len(index):
+                return
+            ways = direction.ravel()[index]
+            for way in np.unique(ways):
+                row = tried.setdefault(int(way), np.zeros(self.block.shape, np.float32)).reshape(-1)
+                row[index[ways == way]] = best.ravel()[index[ways == way]]
+            neighbours = self._neighbour(index, ways)
+            self._try(index, self.field.q[neighbours], self.config.near_iterations)
 
     def spread(self, progress: Callable[[float], None]) -> None:
         """Let poses try their neighbours until none is left; `progress` gets a share up to 1."""

@@ -23,7 +23,7 @@ class MapConfig:
     """Centre of the first voxel [m]."""
     upper: tuple[float, float, float] = (0.75, 0.75, 0.75)
     """No centre beyond this [m]."""
-    spacing: float = 0.1
+    spacing: float = 0.05
     """Edge of a voxel [m]."""
     orientations: int | None = None
     """Tool orientations, spread evenly over SO(3); None for the Euler box below."""
@@ -38,7 +38,9 @@ class MapConfig:
     samples: int = 2
     """Random configurations drawn for each pose of the grid, as first seeds."""
     restarts: int = 1
-    """Attempts from random seeds at each pose that is reachable but not yet feasible."""
+    """Attempts from random seeds at each pose that is reachable."""
+    climbs: int = 8
+    """Attempts at each feasible pose from the most manipulable of its neighbours."""
     turns: int = 6
     """Orientations that count as neighbours of each."""
     margin: float = 0.0

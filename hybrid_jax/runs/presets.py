@@ -56,7 +56,7 @@ PAPER_DQN = DqnConfig(discount=0.92, polyak=0.005, learning_rate=1e-4, anneal=Fa
 PAPER = Preset(
     dqn=PAPER_DQN,
     task_planner="learned",
-    map=MapConfig(spacing=0.1, tilts=(-0.6, -0.3, 0.0, 0.3, 0.6)),
+    map=MapConfig(tilts=(-0.6, -0.3, 0.0, 0.3, 0.6)),
     joint=JointAgentConfig(
         training=PpoConfig(
             steps=1_000_000,
@@ -132,7 +132,7 @@ def judged_by(preset: Preset, backend: Backend | None, physics: Physics | None) 
 MJX = judged_by(
     replace(
         DEFAULT,
-        map=replace(DEFAULT.map, batch=1024),
+        map=replace(DEFAULT.map, spacing=0.1, batch=1024),
         joint=replace(
             DEFAULT.joint,
             training=replace(
@@ -148,8 +148,8 @@ MJX = judged_by(
     "mjx",
     "mjx",
 )
-"""The default with MJX throughout: kinematics, collision functions and the arm's dynamics. Fewer
-steps, as two cores take a hundred times as long for one; on an accelerator take more."""
+"""The default with MJX throughout: kinematics, collision functions and the arm's dynamics. A
+coarser map and fewer steps: two cores take long for each; on an accelerator take more."""
 
 SMOKE = Preset(
     map=MapConfig(spacing=0.3, tilts=(0.0,), yaws=(0.0,), batch=256),

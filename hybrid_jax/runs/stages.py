@@ -24,7 +24,9 @@ from hybrid_jax.feasibility.map_files import save_map
 from hybrid_jax.planner import infeasible_segments
 from hybrid_jax.planner.lfd import optimal_chooser
 from hybrid_jax.planner.pipeline import plan_batch
-from hybrid_jax.reports import film, run_pictures
+from hybrid_jax.reports import film
+from hybrid_jax.reports.learning_curves import draw_curves
+from hybrid_jax.reports.map_picture import draw_map
 from hybrid_jax.runs import seeds
 from hybrid_jax.runs.checkpoints import discard, train_agent
 from hybrid_jax.runs.load_planner import load_planner, read_library, read_scale
@@ -53,7 +55,7 @@ def run_map(run: Run, quiet: bool) -> dict:
     fmap = building.build_feasibility_map(
         run.cell, run.preset.map, seed=run.seed, progress=progress, partial=run.path("map_blocks")
     )
-    run_pictures.draw_map(run.path("map.png"), fmap)
+    draw_map(run.path("map.png"), run.cell, fmap)
     counts = np.bincount(np.asarray(fmap.reason).ravel(), minlength=len(Reason))
     shares = {r.name.lower(): round(float(counts[r] / counts.sum()), 4) for r in Reason}
     run.log("map", {"step": int(counts.sum()), **shares})
@@ -93,7 +95,7 @@ def run_lfd(run: Run, quiet: bool) -> dict:
         }
         run.log("lfd", row)
         progress(rounds_done, chunk * (config.rounds // chunk), f"solved {row['solved']:.2f}")
-    run_pictures.draw_curves(
+    draw_curves(
         run.path("lfd.png"),
         run.metrics("lfd"),
         "Hierarchical DQN (RL-LfD)",
@@ -174,7 +176,7 @@ def run_drl(run: Run, quiet: bool) -> dict:
         "drl",
         {"step": config.training.steps + 1, "held_out_single": single, "held_out_best_of_16": best},
     )
-    run_pictures.draw_curves(
+    draw_curves(
         run.path("drl.png"),
         run.metrics("drl"),
         "DRL-Feasibility",
@@ -219,7 +221,7 @@ def run_switch(run: Run, quiet: bool) -> dict:
             for i in range(count)
         ]
     )
-    run_pictures.draw_curves(
+    draw_curves(
         run.path("switch.png"),
         run.metrics("switch"),
         "Switching agent (PPO)",

@@ -10,8 +10,8 @@ from hybrid_jax.feasibility.evaluation import Reason
 
 _ALL = "all"
 _SHARE = "feasible share"
-_POINT = 0.15
-"""Size of a point, as a share of a voxel."""
+_POINT, _SLICED = 0.15, 0.6
+"""Size of a point as a share of a voxel, where all are shown and in a slice."""
 
 
 def reason_names() -> list[str]:
@@ -75,9 +75,10 @@ class MapCloud:
         flat = self._points.reshape(-1, 3)
         self._low, self._high = flat.min(axis=0), flat.max(axis=0)
         gui, turns = server.gui, fmap.reason.shape[-1]
-        self.shown = gui.add_checkbox("Show map", initial_value=False)
+        self.shown = gui.add_checkbox("Show map", initial_value=True)
         self.reason = gui.add_dropdown("Reason", options=(_SHARE, *reason_names()))
-        self.axis = gui.add_dropdown("Slice", options=(_ALL, "x", "y", "z"))
+        # a slice leaves the arm in sight
+        self.axis = gui.add_dropdown("Slice", options=(_ALL, "x", "y", "z"), initial_value="y")
         self.place = gui.add_slider("Slice at [%]", min=0, max=100, step=1, initial_value=50)
         self.turn = gui.add_slider(
             "Orientation (0: all)", min=0, max=turns, step=1, initial_value=0
@@ -106,7 +107,7 @@ class MapCloud:
             points,
             (255 * colours).astype(np.uint8),
             point_shape="circle",
-            point_size=_POINT * float(self._map.spacing),
+            point_size=(_POINT if axis is None else _SLICED) * float(self._map.spacing),
         )
 
     def _sentence(self, shares, reason, axis, place, count: int) -> str:
