@@ -20,6 +20,7 @@ from jaxtyping import Bool, Float
 from hybrid_jax.errors import UnknownNameError
 from hybrid_jax.kernels.collision import clearance as fused
 from hybrid_jax.kernels.collision.distance import FAR
+from hybrid_jax.kernels.collision.primitive_kinds import rows_as_boxes
 from hybrid_jax.mjx.collision_model import CollisionModel, collision_model
 from hybrid_jax.runtime.compiler_options import quick_options, vector_options
 from hybrid_jax.runtime.quiet import import_mjx
@@ -93,9 +94,9 @@ def _put_slots(geoms: _Geoms, numbers: np.ndarray, shapes: Shapes) -> _Geoms:
         jnp.asarray(a)[picked] for a in (shapes.pose, shapes.half_extents, shapes.radius)
     )
     aloft = jnp.array([0.0, 0.0, ALOFT]) * (1 - jnp.asarray(shapes.active)[picked, None])
-    is_capsule = np.repeat(np.arange(len(shapes.counts)), shapes.counts)[picked, None] == 0
+    is_box = np.isin(picked, rows_as_boxes(shapes.counts))[:, None]
     capsule = jnp.stack([radius, jnp.maximum(half[:, 2], LEAST), 0 * radius], axis=1)
-    size = jnp.where(is_capsule, capsule, half + radius[:, None])
+    size = jnp.where(is_box, half + radius[:, None], capsule)
     return _Geoms(
         geoms.geom_pos.at[slots].set(pose[:, :3] + aloft),
         geoms.geom_quat.at[slots].set(pose[:, 3:]),
@@ -125,9 +126,9 @@ def _scene_geoms(cell: Workcell, on_device: OnDevice) -> _Geoms:
     """Geoms of the cell's scene."""
     described, model = on_device.described, on_device.model
     geoms = _Geoms(*(getattr(model, name) for name in _Geoms._fields))
-    fingers = np.flatnonzero(described.robot >= 0)
-    stroke = jnp.asarray(cell.robot.stroke)[described.robot[fingers]]
-    opened = geoms.geom_pos.at[fingers].add(cell.scene.opening * stroke)
+    robot = np.flatnonzero(described.robot >= 0)
+    stroke = jnp.asarray(cell.robot.stroke)[described.robot[robot]]
+    opened = geoms.geom_pos.at[robot].add(cell.scene.opening * stroke)
     geoms = _put_slots(geoms._replace(geom_pos=opened), described.payload, cell.scene.payload)
     return _put_slots(geoms, described.object, cell.scene.objects)
 

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hybrid_jax.errors import WorkcellError
-from hybrid_jax.kernels.collision.primitive_kinds import joined_order
+from hybrid_jax.kernels.collision.primitive_kinds import joined_order, rows_as_boxes
 from hybrid_jax.types import Shapes, Workcell
 from hybrid_jax.workcell.source import WorkcellSource
 
@@ -98,9 +98,9 @@ def _add(body, name: str, pose, half_extents, radius: float, slot: bool = False)
 
 def _slots(body, name: str, shapes: Shapes, used) -> None:
     """Add primitives whose pose and size a scene tells."""
-    kinds = np.repeat(np.arange(len(shapes.counts)), shapes.counts)
+    boxes = rows_as_boxes(shapes.counts)
     for number in np.flatnonzero(used):
-        half_extents = np.full(3, 1e-3) if kinds[number] else np.array([0, 0, 1e-3])
+        half_extents = np.full(3, 1e-3) if number in boxes else np.array([0, 0, 1e-3])
         _add(body, f"{name} {number} 0", NOWHERE, half_extents, 1e-3, slot=True)
 
 

@@ -35,7 +35,7 @@ class PlannerConfig:
     """What the trajectories must keep."""
     plans: int = 1
     """Number of skill plans of a task that are labelled. The one with the fewest infeasible way
-    points is used. Three leave 4 % fewer in the handling cell, for three times the labelling."""
+    points is used. More leave fewer, for as many times the labelling; motions stay as long."""
     attempts: int = 8
     """Number of routes of a task that are tried, best first."""
 

@@ -91,6 +91,7 @@ PAPER = Preset(
     planner=PlannerConfig(
         skills=SkillConfig(map="ugp_blend", distance="euclidean"),
         quick_path_ik=None,
+        plans=3,  # of which the one with the fewest infeasible way points is taken
         attempts=1,  # the paper has one route, ...
     ),
     fallback=None,  # ... and no planner behind its agents
