@@ -19,13 +19,11 @@ from hybrid_jax.feasibility.grid import MapConfig
 from hybrid_jax.kernels.collision.clearance import clearance
 from hybrid_jax.kernels.dualquat import position as pose_position
 from hybrid_jax.kernels.kinematics import tool_pose
-from hybrid_jax.mjx import physics
 from hybrid_jax.mjx.collision import CLEARANCE_UP_TO, CLOSEST, SEEN
 from hybrid_jax.mjx.collision_model import tiles
 from hybrid_jax.mjx.executed_motion import make_executor
 from hybrid_jax.mjx.servos import Servos, payload_mass, servo_model
 from hybrid_jax.tasks.scene_sampling import sample_scene
-from hybrid_jax.workcell.layout import home_qpos
 from hybrid_jax.workcell.load import load_workcell
 from hybrid_jax.workcell.scene import attach, place_objects, with_support
 
@@ -107,24 +105,6 @@ def test_maps_of_both_backends_agree(small_cell):
     assert (np.asarray(maps[0].reason) == Reason.CELL_COLLISION).any()
     with pytest.raises(UnknownNameError, match="fused"):
         build_feasibility_map(small_cell, replace(config, backend="bullet"))
-
-
-def test_a_batch_of_physics_agrees_with_the_engine(cell):
-    model = physics.put_cell(cell)
-    qpos = np.tile(home_qpos(cell.model), (2, 1)).astype(np.float32)
-    qpos[1, cell.source.layout.qpos[0]] += 0.05
-    qpos[1, cell.source.layout.object_qpos[3] + 2] += 0.01  # a block that falls 10 mm
-
-    @jax.jit
-    @jax.vmap
-    def run(start):
-        return physics.step(model, physics.start_state(cell, start), 10).qpos
-
-    got = np.asarray(run(jnp.asarray(qpos)))
-    for start, end in zip(qpos, got, strict=True):
-        wanted = physics.settle_in_engine(cell, start, 10)
-        np.testing.assert_allclose(end, wanted, atol=2e-3)
-        assert np.abs(wanted - start).max() > 1e-5, "something moved"
 
 
 TWO_JOINTS = """<mujoco><compiler angle="radian"/>
