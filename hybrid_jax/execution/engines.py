@@ -19,6 +19,7 @@ from mujoco import mjx, rollout
 from hybrid_jax.errors import InputError, UnknownNameError
 from hybrid_jax.execution.contact_sensors import SensedCell
 from hybrid_jax.mjx.physics import device_model
+from hybrid_jax.runtime.compiler_options import quick_options
 from hybrid_jax.runtime.devices import usable_cores
 
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -164,4 +165,5 @@ def _rolling(key: _ById):
 
         return jax.lax.scan(step, data, commands)[1]
 
-    return jax.jit(jax.vmap(roll, in_axes=(None, None, 0, 0)))
+    rolled = jax.vmap(roll, in_axes=(None, None, 0, 0))
+    return jax.jit(rolled, compiler_options=quick_options())
