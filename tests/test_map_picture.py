@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: MIT
 """Geometry of the map's picture: the faces that are seen, and fixtures in a slice."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hybrid_jax.reports.map_picture import exposed_faces, fixture_edges, outline
+from hybrid_jax.feasibility.building import FeasibilityMap
+from hybrid_jax.feasibility.evaluation import Reason
+from hybrid_jax.reports.map_picture import draw_map, exposed_faces, fixture_edges, outline
 
 
 def test_only_outer_faces_of_voxels_are_drawn():
@@ -40,3 +43,25 @@ def test_outlines_of_fixtures_in_a_slice(cell):
         area = abs(np.dot(u, np.roll(v, 1)) - np.dot(v, np.roll(u, 1))) / 2
         assert area == pytest.approx((high - low)[0] * (high - low)[1], rel=1e-4)
         assert not len(outline(box, 2, float(high[2] + 0.01)))
+
+
+@pytest.mark.parametrize("reason", [Reason.UNREACHABLE, Reason.FEASIBLE])
+@pytest.mark.parametrize("fixtures", [True, False])
+def test_a_map_of_nothing_is_drawn_too(cell, tmp_path, reason, fixtures):
+    if not fixtures:
+        active = jnp.zeros_like(cell.fixtures.active)
+        cell = cell.replace(fixtures=cell.fixtures.replace(active=active))
+    zeros, turns = np.zeros((2, 3, 1, 1), np.float32), np.eye(4, dtype=np.float32)[:1]
+    fmap = FeasibilityMap(
+        lower=np.zeros(3),
+        spacing=np.float32(0.1),
+        orientations=turns,
+        feasibility=zeros,
+        reason=np.full(zeros.shape, reason, np.uint8),
+        configuration=zeros[..., None],
+        manipulability=zeros,
+        clearance=zeros,
+        manipulability_scale=np.float32(1.0),
+    )
+    draw_map(tmp_path / "map.png", cell, fmap)
+    assert (tmp_path / "map.png").stat().st_size > 10_000

@@ -97,8 +97,10 @@ def _voxels(ax, share: np.ndarray, axes: list[np.ndarray], edges: np.ndarray) ->
     colours = matplotlib.colormaps[SHARES](share[tuple(owners.T)])
     light = np.where(faces[:, 0] == faces[:, 2], [1.0, 0.85, 0.7], 0.0).max(axis=1)[:, None]
     colours[:, :3] *= light  # sides of a cube differ, as under a lamp
-    ax.add_collection3d(Poly3DCollection(corners, facecolors=colours, edgecolors=(0, 0, 0, 0.15)))
-    ax.add_collection3d(_lines(edges))
+    cubes = Poly3DCollection(corners, facecolors=colours, edgecolors=(0, 0, 0, 0.15))
+    # a cell may have no fixtures, and a map no feasible pose: matplotlib fails at no lines
+    for collection in ([cubes] if len(faces) else []) + ([_lines(edges)] if len(edges) else []):
+        ax.add_collection3d(collection, autolim=False)
     limits = [(b[0] - 0.1, b[-1] + 0.1) for b in bounds]
     ax.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
     ax.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
