@@ -24,11 +24,10 @@ from benchmarks.mjx_rival import CELL, mjx_in_its_process
 from benchmarks.report import metric, race, write
 from hybrid_jax.kernels.collision import clearance as fused
 from hybrid_jax.mjx import collision as mjx_collision
-from hybrid_jax.planner import infeasible_segments
-from hybrid_jax.planner.lfd import optimal_chooser
-from hybrid_jax.runs.load_planner import load_bridger, read_library, read_scale
+from hybrid_jax.runs.load_planner import load_bridger
 from hybrid_jax.runs.run_folder import Run, open_run
 from hybrid_jax.runs.seeds import JOINT_AGENT_TEST
+from hybrid_jax.runs.stages import collect_segments
 from hybrid_jax.runtime.devices import Spread, use_all_cores
 from hybrid_jax.workcell.load import load_workcell
 
@@ -91,17 +90,7 @@ def trained(folder: Path, rows: list[dict], seconds: float) -> list[dict]:
 
 def held_out(run: Run, tasks: int) -> list[dict]:
     """Share of unseen segments that the joint agent bridges, rolled out in dynamics and proven."""
-    first = JOINT_AGENT_TEST.start
-    segments = infeasible_segments.harvest(
-        run.cell,
-        read_library(run.skills),
-        optimal_chooser,
-        run.preset.planner.skills,
-        run.preset.planner.first_look,
-        read_scale(run),
-        tasks=range(first, first + tasks),
-        seed=run.seed,
-    )
+    segments = collect_segments(run, "collect", JOINT_AGENT_TEST.start, tasks, quiet=True)
     paths = load_bridger(run)(jax.tree.map(jnp.asarray, segments), jax.random.key(0))
     solved = [path is not None for path in paths]
     tries = " then ".join(map(str, run.preset.joint.rollouts))

@@ -244,8 +244,7 @@ def find_backend(name: str) -> Backend:
 def compiler_options(backend: Backend) -> dict[str, int | bool]:
     """Options of XLA's compiler for a program that measures by a backend.
 
-    Without them MJX computes shared values of its loops again and again on a CPU, and takes twenty
-    times as long.
+    Without them MJX computes shared values of its loops again and again on a CPU.
     """
     return quick_options() if backend == "mjx" else vector_options()
 

@@ -24,8 +24,8 @@ holds the whole cell; of its tiles few are near. Together they are the same box.
 NOWHERE = np.array([0.0, 0, 0, 1, 0, 0, 0])
 """Pose `[7]` of a slot before a scene says what is in it."""
 PAIRS_PER_PRIMITIVE = 5
-"""Pairs of each kind of geoms that MJX looks at closely, for each primitive of the robot: in the
-shipped cells 99 of 100 free configurations have fewer pairs with overlapping bounding spheres."""
+"""Pairs of each kind of geoms that MJX looks at closely, for each primitive of the robot: so
+many that a gripper in a tray seldom has more pairs with overlapping bounding spheres."""
 
 
 class CollisionModel(NamedTuple):

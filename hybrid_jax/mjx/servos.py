@@ -52,6 +52,8 @@ class ServoModel(NamedTuple):
     """`qpos` of each joint of the gripper's fingers."""
     payload: int
     """Number of the payload's body."""
+    home: np.ndarray
+    """`[nq]` positions of all joints at home [rad, m]."""
 
 
 def _without_contact(spec: mujoco.MjSpec, source: WorkcellSource) -> mujoco.MjSpec:
@@ -95,11 +97,15 @@ def servo_model(source: WorkcellSource) -> ServoModel:
     welded = np.isin(source.model.jnt_bodyid, source.layout.object_bodies)
     # joints keep their order: the n-th of those that are left is the n-th of the model
     address = dict(zip(source.model.jnt_qposadr[~welded], model.jnt_qposadr, strict=True))
+    is_objects = np.zeros(source.model.nq, bool)
+    for first in layout.object_qpos:
+        is_objects[first : first + 7] = True
     return ServoModel(
         model,
         tuple(int(address[a]) for a in layout.qpos),
         tuple(int(address[source.model.jnt_qposadr[j]]) for j in layout.fingers),
         int(model.body(PAYLOAD).id),
+        home_qpos(source.model)[~is_objects],
     )
 
 
@@ -152,13 +158,7 @@ class Servos:
 
     def rest(self, cell: Workcell, q: Float[Array, " n"]) -> Body:
         """The arm at rest at `q` `[joint]` [rad or m], its gripper as in the cell's scene."""
-        home = home_qpos(self.source.model)
-        qpos = jnp.asarray(self.servo_model.model.qpos0, jnp.float32)
-        for joint in range(self.servo_model.model.njnt):
-            name = self.servo_model.model.joint(joint).name
-            if name:
-                adr = int(self.source.model.joint(name).qposadr[0])
-                qpos = qpos.at[self.servo_model.model.jnt_qposadr[joint]].set(home[adr])
+        qpos = jnp.asarray(self.servo_model.home, jnp.float32)
         qpos = qpos.at[jnp.array(self.servo_model.fingers, int)].set(cell.scene.opening)
         return Body(qpos.at[self.joints].set(q), jnp.zeros(self.servo_model.model.nv))
 
