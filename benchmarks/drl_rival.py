@@ -16,7 +16,7 @@ from stable_baselines3 import PPO
 from benchmarks.rivals import Bullet
 from hybrid_jax.agents.ppo import PpoConfig
 from hybrid_jax.contracts import Segments
-from hybrid_jax.envs.paper_reach import PaperReachConfig
+from hybrid_jax.envs.paper_reach import LITERAL, PaperReachConfig
 from hybrid_jax.kernels.rays import RAY_COUNT, RAY_RANGE, fibonacci_directions
 from hybrid_jax.types import Workcell
 
@@ -102,7 +102,7 @@ class Rival:
     """Stable-Baselines3's PPO on that environment, ready to train further."""
 
     def __init__(self, cell: Workcell, segments: Segments, config: PpoConfig):
-        env = BulletReach(cell, segments, PaperReachConfig())
+        env = BulletReach(cell, segments, LITERAL)
         self.rollout = config.steps_per_iteration
         self.agent = PPO(
             "MlpPolicy",

@@ -26,7 +26,7 @@ from hybrid_jax.agents.joint import JointAgentConfig
 from hybrid_jax.agents.sac import SacConfig
 from hybrid_jax.contracts import Segments
 from hybrid_jax.envs import base
-from hybrid_jax.envs.paper_reach import PaperReachConfig
+from hybrid_jax.envs.paper_reach import LITERAL
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.collision.motion_validation import edge_is_free
 from hybrid_jax.kernels.kinematics import tool_pose
@@ -35,11 +35,9 @@ from hybrid_jax.types import Workcell
 
 SAC_SEEDS = 2
 """Trainings of SAC, at most."""
-PURE = PaperReachConfig(
-    reward="distance", drop_infeasible=False, arrival=float(PaperReachConfig().horizon)
-)
+PURE = replace(LITERAL, reward="distance", drop_infeasible=False, arrival=float(LITERAL.horizon))
 AGENTS = {
-    "DRL-Feasibility": PAPER.joint,
+    "DRL-Feasibility": replace(PAPER.joint, reach=LITERAL),
     "pure PPO": replace(PAPER.joint, reach=PURE),
     "pure SAC": JointAgentConfig(
         training=SacConfig(updates=SacConfig().steps_per_iteration), reach=PURE

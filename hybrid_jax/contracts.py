@@ -62,6 +62,10 @@ Bridger = Callable[[Segments, Array], list[np.ndarray | None]]
 """From segments and a key to collision-free way points `[point, joint]` [rad or m] from start to
 goal of each segment, or None where none was found."""
 
+Explorer = Callable[[Segments, Array], np.ndarray]
+"""From segments and a key to rollouts of the joint agent `[segment, rollout, point, joint]` [rad or
+m], each from the segment's start on, wherever it leads; none of them is proven."""
+
 Switcher = Callable[[Combined], np.ndarray]
 """From both motions of a phase to the choice at each point `[STEPS]`: 0 skill, 1 joint agent."""
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """The paper's own environment, against C MuJoCo and SciPy."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -9,16 +11,17 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hybrid_jax.contracts import Segments
-from hybrid_jax.envs.paper_reach import PaperReachConfig, PaperReachEnv, euler
+from hybrid_jax.envs.paper_reach import LITERAL, PaperReachConfig, PaperReachEnv, euler
 from hybrid_jax.kernels import dualquat as dq
+from hybrid_jax.planner.phase_scenes import home_scene
+from hybrid_jax.planner.trajectory_check import ConfigurationChecker
 
 
 @pytest.fixture(scope="module")
 def env(cell, configurations):
     scene = jax.tree.map(lambda a: jnp.broadcast_to(a, (8, *a.shape)), cell.scene)
-    return PaperReachEnv(
-        cell, Segments(scene, jnp.asarray(configurations[:8]), jnp.asarray(configurations[8:16]))
-    )
+    ends = jnp.asarray(configurations[:8]), jnp.asarray(configurations[8:16])
+    return PaperReachEnv(cell, Segments(scene, *ends), LITERAL)
 
 
 def action_to(cell, q):
@@ -61,7 +64,7 @@ def test_reward_is_fea_minus_distance_outside_the_ball_and_a_tenth_inside(cell, 
     for i in range(1, 8):
         move = step(env.start(jnp.int32(i), env.segments.start[i]), action_to(cell, goals[0]))
         distance, hit = float(move.info["distance"]), float(move.info["collision"])
-        fea = float(env.feasibility(jnp.int32(i), goals[0])[0])
+        fea = float(env.feasibility(goals[0], hit))
         assert fea == 0 if hit else fea > 0
         expected = 0.1 if distance < 0.25 else fea - distance
         assert float(move.reward) == pytest.approx(expected, abs=1e-4)
@@ -69,7 +72,7 @@ def test_reward_is_fea_minus_distance_outside_the_ball_and_a_tenth_inside(cell, 
 
 
 def test_the_rivals_reward_is_the_distance_in_joint_space(cell, env):
-    pure = PaperReachEnv(cell, env.segments, PaperReachConfig(reward="distance"))
+    pure = PaperReachEnv(cell, env.segments, replace(LITERAL, reward="distance"))
     start = env.segments.start[1]
     move = pure.step(pure.start(jnp.int32(2), start), action_to(cell, start))
     assert not bool(move.terminated)
@@ -78,7 +81,7 @@ def test_the_rivals_reward_is_the_distance_in_joint_space(cell, env):
 
 
 def test_to_the_letter_the_agent_does_not_see_its_goal(cell, env):
-    blind = PaperReachEnv(cell, env.segments, PaperReachConfig(target="ee"))
+    blind = PaperReachEnv(cell, env.segments, replace(LITERAL, target="ee"))
     q = env.segments.start[0]
     first, second = (np.asarray(blind.observe(blind.start(jnp.int32(i), q))) for i in (0, 1))
     np.testing.assert_array_equal(first[:90], second[:90])
@@ -90,3 +93,46 @@ def test_a_singular_home_is_refused(cell, env):
     straight = cell.replace(home=jnp.zeros(7))
     with pytest.raises(ValueError, match="manipulability at home"):
         PaperReachEnv(straight, env.segments)
+
+
+@pytest.fixture(scope="module")
+def engine_gap(cell):
+    """Clearance at a configuration by C MuJoCo [m]."""
+    checker = ConfigurationChecker(cell)
+    checker.enter(home_scene(cell))
+    return checker.gap
+
+
+def test_at_rates_a_step_is_a_period_of_motion_and_stops_before_obstacles(cell, env, engine_gap):
+    """C MuJoCo finds every configuration free that is entered; refused ones count as COL."""
+    rules = PaperReachConfig()
+    moving = PaperReachEnv(cell, env.segments, rules)
+    step = jax.jit(moving.step)
+    rng, refused = np.random.default_rng(0), 0
+    reach = np.asarray(cell.velocity_limits) * rules.period + 1e-5
+    for i in range(8):
+        state = moving.start(jnp.int32(i), cell.home)
+        for action in np.repeat(rng.uniform(-1, 1, (3, 7)), 12, axis=0).astype(np.float32):
+            before = np.asarray(state.q)
+            move = step(state, action)
+            state = move.state
+            q = np.asarray(state.q)
+            assert (np.abs(q - before) <= reach).all()
+            hit = bool(move.info["collision"])
+            refused += hit
+            assert (q == before).all() if hit else engine_gap(q) > 0
+            assert bool(move.kept) != hit
+    assert refused
+
+
+def test_hovering_never_earns_more_than_arriving(cell, env):
+    moving = PaperReachEnv(cell, env.segments, PaperReachConfig())
+    hover = PaperReachEnv(cell, env.segments, replace(PaperReachConfig(), hover_cost=0.0))
+    action = action_to(cell, env.segments.goal[0])
+    lowered, literal = (
+        jax.jit(e.step)(e.start(jnp.int32(1), env.segments.start[1]), action)
+        for e in (moving, hover)
+    )
+    assert not bool(lowered.terminated)
+    assert float(lowered.reward) < PaperReachConfig().arrival
+    assert float(literal.reward) > float(lowered.reward)

@@ -175,8 +175,9 @@ def test_planning_checks_moves_more_finely_than_training(cell, segments):
     config = joint.JointAgentConfig()
     trained, used = (make(cell, segments, config) for make in (joint.make_env, joint.planning_env))
     assert trained.config.edge_samples == 3 and used.config.edge_samples == 4
-    paper = joint.JointAgentConfig(reach=PaperReachConfig())
-    assert isinstance(joint.planning_env(cell, segments, paper), PaperReachEnv)
+    paper = joint.JointAgentConfig(reach=PaperReachConfig(), edge_samples=12)
+    env = joint.planning_env(cell, segments, paper)
+    assert isinstance(env, PaperReachEnv) and env.config.edge_samples == 12
 
 
 def test_the_papers_env_serves_the_planner_too(cell, segments):

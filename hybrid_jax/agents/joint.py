@@ -65,9 +65,8 @@ def planning_env(
     cell: Workcell, segments: Segments, config: JointAgentConfig
 ) -> ReachEnv | PaperReachEnv:
     """The environment for planning, with finer checks, over `[segment, joint]` ends [rad]."""
-    if isinstance(config.reach, ReachConfig):
-        config = replace(config, reach=replace(config.reach, edge_samples=config.edge_samples))
-    return make_env(cell, segments, config)
+    reach = replace(config.reach, edge_samples=config.edge_samples)
+    return make_env(cell, segments, replace(config, reach=reach))
 
 
 def uses_mjx(config: JointAgentConfig) -> bool:

@@ -1,36 +1,18 @@
 # SPDX-License-Identifier: MIT
 """The trained DRL-Feasibility agent as a bridger: the best of many rollouts, proven free."""
 
-import functools
-from collections.abc import Callable
-from dataclasses import replace
-
-import jax
 import numpy as np
 from jax import Array
 
 from hybrid_jax.agents import networks
-from hybrid_jax.agents.joint import (
-    JointAgentConfig,
-    make_net,
-    planning_env,
-    rollouts,
-    spreads,
-    uses_mjx,
-)
+from hybrid_jax.agents.joint import JointAgentConfig
+from hybrid_jax.agents.joint_rollouts import SEGMENTS_PER_CALL, rollout_program, run_rollouts
 from hybrid_jax.contracts import Bridger, Segments, take
 from hybrid_jax.envs.segments import refuse_infeasible
-from hybrid_jax.kernels.batching import by_backend
 from hybrid_jax.kernels.collision.motion_validation import clearances_in_scenes, paths_are_free
-from hybrid_jax.runtime.compiler_options import quick_options
-from hybrid_jax.runtime.kept_programs import kept
 from hybrid_jax.runtime.keys import fold_in
 from hybrid_jax.types import Scene, Workcell
 
-SEGMENTS_PER_CALL = 16
-"""Most segments that are bridged in one call."""
-ROLLOUTS_PER_CALL, ACCELERATOR_ROLLOUTS = (16, 64), (64, 1024)
-"""Sizes of calls in rollouts, on a CPU and on an accelerator: few programs serve all attempts."""
 RANKED = 32
 """Way points of a rollout at which clearance is measured to rank it."""
 
@@ -80,81 +62,6 @@ def _moved(q: np.ndarray) -> np.ndarray:
     return np.concatenate([q[:1], q[1:][changed]])
 
 
-def _rollouts(
-    cell: Workcell,
-    policy: networks.Policy,
-    segments: Segments,
-    index: Array,
-    spread: Array,
-    enough: Array,
-    key: Array,
-    config: JointAgentConfig,
-) -> tuple[Array, Array]:
-    env, net = planning_env(cell, segments, config), make_net(cell, config)
-    return rollouts(env, net, policy, index, spread, key, enough)
-
-
-_kept_rollouts = kept(static=("config",), hot=True)(_rollouts)
-
-
-def _program(cell: Workcell, config: JointAgentConfig) -> Callable:
-    """`_rollouts` in a cell: kept on disk, but for MJX, whose models are made of its host side."""
-    config = replace(config, rollouts=(), candidates=1)
-    if not uses_mjx(config):
-        return functools.partial(_kept_rollouts, cell, config=config)
-    rollouts = functools.partial(_rollouts, cell, config=config)
-    return jax.jit(rollouts, compiler_options=quick_options())
-
-
-def _call_size(rollouts_wanted: int) -> int:
-    """Rollouts of the smallest call that suffices, or of the largest call."""
-    sizes = by_backend(ROLLOUTS_PER_CALL, ACCELERATOR_ROLLOUTS)
-    return next((size for size in sizes if size >= rollouts_wanted), sizes[-1])
-
-
-def _run_rollouts(
-    run: Callable,
-    policy: networks.Policy,
-    segments: Segments,
-    key: Array,
-    each: int,
-    config: JointAgentConfig,
-) -> tuple[np.ndarray, np.ndarray]:
-    """`each` rollouts of every segment, in calls of few sizes, by a `_program`.
-
-    Returns:
-        Way points `[segment, rollout, point, joint]` [rad], and `[segment, rollout]` True where the
-        goal was reached.
-    """
-    count = len(segments.start)
-    size = max(_call_size(each * count), each)
-    per_call = min(size // each, SEGMENTS_PER_CALL)
-    parts = []
-    for call, first in enumerate(range(0, count, per_call)):
-        used = min(per_call, count - first)
-        # a segment more than may be used: what is left of the call runs on it, and it never counts
-        rows = np.append(np.minimum(first + np.arange(SEGMENTS_PER_CALL), count - 1), first)
-        index = np.full(size, SEGMENTS_PER_CALL, np.int32)
-        index[: used * each] = np.repeat(np.arange(used), each)
-        spread = np.resize(spreads(each), size)
-        enough = np.zeros(SEGMENTS_PER_CALL + 1, np.int32)
-        enough[:used] = max(1, int(config.enough * each))
-        q, reached = jax.device_get(
-            run(
-                policy,
-                take(segments, rows),
-                index,
-                spread,
-                enough,
-                fold_in(key, call),
-            )
-        )
-        q = np.moveaxis(q[:, : used * each].reshape(len(q), used, each, -1), 0, 2)
-        parts.append((q, reached[: used * each].reshape(used, each)))
-    ways, arrived = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return ways, arrived
-
-
 def make_bridger(cell: Workcell, policy: networks.Policy, config: JointAgentConfig) -> Bridger:
     """The trained agent as a function that the planner calls.
 
@@ -174,12 +81,12 @@ def make_bridger(cell: Workcell, policy: networks.Policy, config: JointAgentConf
         SegmentError: the function, if an end of a segment is outside the limits or not free.
     """
 
-    run = _program(cell, config)
+    run = rollout_program(cell, config)
 
     def attempt(segments, key, ways, index, each):
         """Bridge the segments `index` by `each` rollouts, where possible; fills in their `ways`."""
         chosen = take(segments, index)
-        q, reached = _run_rollouts(run, policy, chosen, key, each, config)
+        q, reached = run_rollouts(run, policy, chosen, key, each, config)
         ranked, arrived = _best_first(cell, chosen.scene, q, reached, config)
         for rank in range(ranked.shape[1]):
             rows = [r for r in range(len(index)) if ways[index[r]] is None and arrived[r, rank]]

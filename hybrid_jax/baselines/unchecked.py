@@ -6,7 +6,6 @@ for comparison only: `plan_motion` returns no such trajectory.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -15,18 +14,14 @@ import numpy as np
 from hybrid_jax.contracts import PlanResult
 from hybrid_jax.ik import IkConfig, track_poses
 from hybrid_jax.kernels.argument_checks import single_precision
-from hybrid_jax.planner import timing
 from hybrid_jax.planner.lfd import skill_paths
 from hybrid_jax.planner.records import Planner
-from hybrid_jax.planner.smoothing import SmoothingConfig, smooth_paths
+from hybrid_jax.planner.unchecked_timing import executable
 from hybrid_jax.tasks.task import Task
-from hybrid_jax.types import Source, Status, Trajectory
+from hybrid_jax.types import Source, Status
 
 TRACKING = IkConfig(iterations=12)
 """Inverse kinematics along a path, each point from the one before."""
-NO_MARGIN = SmoothingConfig(margin=-1.0, widths=(0.0,))
-"""Smoothing that leaves the corners as they were demonstrated."""
-
 _track = jax.jit(lambda cell, poses, start: track_poses(cell, poses, start, TRACKING)[0])
 
 
@@ -60,22 +55,10 @@ def _follow(planner: Planner, task: Task, path) -> PlanResult:
     phases, begin = [], np.asarray(task.start, float)
     for number, (low, high) in enumerate(task.phases):
         way_points = np.concatenate([begin[None], q[low:high].reshape(-1, q.shape[-1])])
-        phases.append(_timed(planner, way_points, task.tool_speed(number)))
+        marks = np.full(len(way_points), Source.LFD, np.uint8)
+        # nothing is measured: corners stay as they were demonstrated
+        phases.append(executable(planner, None, way_points, marks, task.tool_speed(number)))
         # the next phase begins exactly where this one ends
         begin = phases[-1].positions[-1]
     names = [planner.library.names[k] for _, _, k in path.plan]
     return PlanResult(Status.OK, "the skills' path, not checked", phases, names)
-
-
-def _timed(planner: Planner, way: np.ndarray, tool_speed: float) -> Trajectory:
-    """The way points `[point, joint]` as a timed motion; at rest where they hardly differ."""
-    marks = np.full(len(way), Source.LFD, np.uint8)
-    unmeasured = lambda rows, q, enough: np.full(len(q), np.inf)  # noqa: E731  nothing is measured
-    smooth = replace(NO_MARGIN, spacing=planner.config.smoothing.spacing)
-    (path,) = smooth_paths(unmeasured, [(way, marks)], smooth)
-    motion = (
-        timing.time_parameterize(planner.cell, [path], planner.config.timing, [tool_speed])[0]
-        if path
-        else None
-    )
-    return motion or timing.resting(planner.cell, way[0], way[-1], Source.LFD)

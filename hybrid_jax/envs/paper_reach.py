@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Reaching as the paper states it (section MDP, equations 15 to 18): environment of preset `paper`.
 
-Kept as it is, with its gaps, so that the paper's curves can be repeated: actions are absolute
-joint angles, the target is a ball of 25 cm around a position, and obstacles cost reward but stop
-nothing. `envs.reach` is the environment that the planner's agent learns in.
+Actions are absolute joint angles and the target is a ball around a position. Where the text leaves
+a gap there are two readings: `PaperReachConfig` is the one that can be executed, `LITERAL` the one
+word by word, in which a step crosses the cell and obstacles stop nothing. `envs.reach` is the
+environment that the default planner's agent learns in.
 """
 
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from jaxtyping import Float, PRNGKeyArray
 
 from hybrid_jax.contracts import Segments
 from hybrid_jax.envs.base import StepResult
+from hybrid_jax.errors import InputError
 from hybrid_jax.kernels import dualquat as dq
 from hybrid_jax.kernels.collision.clearance import clearance_up_to
 from hybrid_jax.kernels.kinematics import joint_frames, manipulability, tool_pose
@@ -38,18 +40,38 @@ class PaperReachConfig:
     target: Literal["target", "ee"] = "target"
     """Pose that TP and TO describe. `target`: the goal's tool pose. `ee`: the end effector's, as
     the paper says to the letter; then no observation holds the goal."""
-    radius: float = 0.25
+    radius: float = 0.05
     """Distance of the tool from the goal at which an episode ends [m]."""
     arrival: float = 0.1
     """Reward within that distance."""
+    hover_cost: float = 1.0
+    """What hovering at full feasibility costs: outside the target area fea is capped at this and
+    lowered by it. With 0, as in the paper, hovering earns more than arriving."""
     drop_infeasible: bool = True
     """Learn from feasible transitions only (Algorithm 3, line 6)."""
-    margin: float = 0.0
+    at_rates: bool = True
+    """Does a step lead towards the action's configuration for one period, at the joints' highest
+    rates, and not at all where it would not keep the margin? Else the arm is there at once,
+    through whatever lies between."""
+    margin: float = 0.008
     """Clearance below which a configuration is infeasible [m]."""
-    horizon: int = 200
+    edge_samples: int = 4
+    """Clearance checks along a step at the joints' rates."""
+    horizon: int = 100
     """Steps after which an episode may be cut."""
-    period: float = 0.1
-    """Duration of a step, for the observed velocities [s]."""
+    period: float = 0.2
+    """Duration of a step [s]."""
+
+
+LITERAL = PaperReachConfig(
+    radius=0.25, hover_cost=0.0, at_rates=False, margin=0.0, horizon=200, period=0.1
+)
+"""The paper word by word, with the radius of its training."""
+PURE = PaperReachConfig(
+    reward="distance", radius=0.25, drop_infeasible=False, arrival=float(PaperReachConfig().horizon)
+)
+"""The agents that DRL-Feasibility is compared with: the distance in joint space, and at the goal
+the reward that feasibility gives in a whole episode at home, which is of the same scale."""
 
 
 @pytree
@@ -80,6 +102,22 @@ def euler(quat: Float[Array, "*n 4"]) -> Float[Array, "*n 3"]:
     return jnp.stack([roll, pitch, yaw], axis=-1)
 
 
+def home_manipulability(cell: Workcell) -> Array:
+    """man(theta_0) `[]`, in whose units the paper counts manipulability.
+
+    Raises:
+        InputError: the home pose is singular; not while the cell itself is being traced.
+    """
+    with jax.ensure_compile_time_eval():  # a number, also where a program is being traced
+        unit = manipulability(cell, cell.home)
+    if not isinstance(unit, jax.core.Tracer) and float(unit) < SINGULAR_HOME:
+        raise InputError(
+            f"manipulability at home is {float(unit):.2g}: preset 'paper' divides by it; choose "
+            f"a home pose away from singularities, or another preset"
+        )
+    return unit
+
+
 class PaperReachEnv:
     """An `Env` (see `envs.base`) of segments to be bridged, as in the paper."""
 
@@ -94,17 +132,11 @@ class PaperReachEnv:
             config: rules.
 
         Raises:
-            ValueError: the home pose is singular: manipulability cannot be counted in its units.
+            InputError: the home pose is singular.
         """
         self.cell, self.segments, self.config = cell, segments, config
         self.goal_pose = jax.vmap(tool_pose, (None, 0))(cell, segments.goal)
-        with jax.ensure_compile_time_eval():  # a number, also where a program is being traced
-            self.unit = float(manipulability(cell, cell.home))
-        if self.unit < SINGULAR_HOME:
-            raise ValueError(
-                f"manipulability at home is {self.unit:.2g}: preset 'paper' divides by it; choose "
-                f"a home pose away from singularities, or another preset"
-            )
+        self.unit = home_manipulability(cell)
         self.action_size = cell.home.size
         self.observation_size = self.observation_length(cell)
 
@@ -144,29 +176,56 @@ class PaperReachEnv:
         """True `[]` where the horizon has passed."""
         return state.step >= self.config.horizon
 
-    def feasibility(self, segment: Array, q: Array) -> tuple[Array, Array]:
-        """fea = RH man' (1 - COL) and COL, scalars `[]`, at a configuration `[joint]` [rad].
+    def feasibility(self, q: Array, hit: Array) -> Float[Array, ""]:
+        """fea = RH man' (1 - COL) `[]` at a configuration `[joint]` [rad], where COL is `hit` `[]`.
 
         Any action is within the limits, so RH is 1.
         """
-        margin = self.config.margin
-        hit = 1.0 * (clearance_up_to(self._inside(segment), q, margin + SEEN) < margin)
-        return manipulability(self.cell, q) / self.unit * (1 - hit), hit
+        return manipulability(self.cell, q) / self.unit * (1 - hit)
+
+    def commanded(self, action: Float[Array, " n"]) -> Float[Array, " n"]:
+        """Configuration `[joint]` [rad] of an action `[joint]`: -1 to 1 spans the joint limits.
+
+        At the joints' rates it spans one turn around home of joints that can turn further.
+        """
+        low, high = self.cell.chain.limits.T
+        if self.config.at_rates:
+            home = self.cell.home
+            low, high = jnp.maximum(low, home - jnp.pi), jnp.minimum(high, home + jnp.pi)
+        return low + (high - low) * (jnp.clip(action, -1, 1) + 1) / 2
+
+    def moved(self, state: PaperReachState, action: Array) -> tuple[Array, Array]:
+        """Configuration `[joint]` [rad] after an action `[joint]`, and COL `[]` of the attempt."""
+        rules, cell, target = self.config, self._inside(state.segment), self.commanded(action)
+        if not rules.at_rates:
+            gap = clearance_up_to(cell, target, rules.margin + SEEN)
+            return target, 1.0 * (gap < rules.margin)
+        periods = jnp.abs(target - state.q) / (self.cell.velocity_limits * rules.period)
+        target = state.q + (target - state.q) / jnp.maximum(jnp.max(periods), 1.0)
+        share = jnp.arange(1, rules.edge_samples + 1)[:, None] / rules.edge_samples
+        way = state.q + share * (target - state.q)
+        gap = jnp.min(jax.vmap(clearance_up_to, (None, 0, None))(cell, way, rules.margin + SEEN))
+        hit = gap < rules.margin
+        return jnp.where(hit, state.q, target), 1.0 * hit
 
     def step(self, state: PaperReachState, action: Array) -> StepResult:
-        """Go to the configuration `action` `[joint]`, where -1 to 1 spans the joint limits."""
-        low, high = self.cell.chain.limits.T
-        q = low + (high - low) * (jnp.clip(action, -1, 1) + 1) / 2
+        """Go to, or towards, the configuration of an action `[joint]`, see `commanded`."""
+        rules = self.config
+        q, hit = self.moved(state, action)
         frames = joint_frames(self.cell.chain, q)
         # the paper's distance is that of positions: orientation at the goal is not rewarded
         goal = dq.position(self.goal_pose[state.segment])
         distance = jnp.linalg.norm(dq.position(tool_pose(self.cell, q)) - goal)
-        arrived = distance < self.config.radius
-        fea, hit = self.feasibility(state.segment, q)
+        arrived = distance < rules.radius
+        # an arm that does not move into an obstacle stands where it is feasible
+        fea = self.feasibility(q, jnp.zeros(()) if rules.at_rates else hit)
+        if rules.hover_cost:
+            fea = jnp.minimum(fea, rules.hover_cost) - rules.hover_cost
         joint_distance = jnp.linalg.norm(self.segments.goal[state.segment] - q)
-        running = fea - distance if self.config.reward == "feasibility" else -joint_distance
-        reward = jnp.where(arrived, self.config.arrival, running)
+        running = fea - distance if rules.reward == "feasibility" else -joint_distance
+        reward = jnp.where(arrived, rules.arrival, running)
         next_state = PaperReachState(q, frames, state.frames, state.segment, state.step + 1)
         info = {"collision": hit, "distance": distance}
-        weight = 1 - hit if self.config.drop_infeasible else None
-        return StepResult(next_state, reward, arrived, arrived & (hit == 0), info, weight)
+        weight = 1 - hit if rules.drop_infeasible else None
+        success = arrived if rules.at_rates else arrived & (hit == 0)
+        return StepResult(next_state, reward, arrived, success, info, weight)

@@ -105,10 +105,39 @@ def _portion(path: np.ndarray, low: float, high: float) -> np.ndarray:
     return at_places(path, np.unique(np.concatenate([[low], inner, [high]])))
 
 
+def both_motions(phase: PhasePath) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Both motions of a phase on the grid of the switching agent (traj_comb).
+
+    Args:
+        phase: the skill's joint path and the motions that bridge its gaps.
+
+    Returns:
+        Configurations of skill and joint agent `[2, STEPS, joint]` [rad or m], where they are not
+        feasible `[2, STEPS]`, and where the joint agent has a motion `[STEPS]`.
+    """
+    places, window_at, shares = _grid(phase)
+    q_skill = at_places(phase.q, places)
+    ok = phase.feasible[np.floor(places).astype(int)] & phase.feasible[np.ceil(places).astype(int)]
+    # outside of the windows the skill stands in for the motion that the joint agent does not have
+    q_drl = q_skill.copy()
+    for number, window in enumerate(phase.windows):
+        in_window = window_at == number
+        q_drl[in_window] = at_places(window.path, _places(window.path, shares[in_window]))
+    available = window_at >= 0
+    return np.stack([q_skill, q_drl]).astype(np.float32), np.stack([~ok, ~available]), available
+
+
+def manipulabilities(cell: Workcell, q: np.ndarray) -> np.ndarray:
+    """Manipulability `[...]` at configurations `[..., joint]`."""
+    return np.asarray(_manipulabilities(cell.chain, q.reshape(-1, q.shape[-1]))).reshape(
+        q.shape[:-1]
+    )
+
+
 def combine(
     cell: Workcell, phase: PhasePath, scale: float, execute: Executor | None = None
 ) -> Combined:
-    """Both motions of a phase on the grid of the switching agent (traj_comb).
+    """Both motions of a phase as a problem of the switching agent.
 
     Args:
         cell: the robot, for manipulability, and the scene of the phase.
@@ -120,21 +149,12 @@ def combine(
         Configurations, manipulability and feasibility of both motions on `STEPS` grid points, on
         the host, in float32.
     """
-    places, window_at, shares = _grid(phase)
-    q_skill = at_places(phase.q, places)
-    ok = phase.feasible[np.floor(places).astype(int)] & phase.feasible[np.ceil(places).astype(int)]
-    # outside of the windows the skill stands in for the motion that the joint agent does not have
-    q_drl = q_skill.copy()
-    for number, window in enumerate(phase.windows):
-        in_window = window_at == number
-        q_drl[in_window] = at_places(window.path, _places(window.path, shares[in_window]))
-    available = (window_at >= 0).astype(np.float32)
-    q = np.stack([q_skill, q_drl]).astype(np.float32)
+    q, infeasible, available = both_motions(phase)
     passed, collides = execute(cell.scene, q) if execute else (q, np.zeros(q.shape[:2], bool))
-    man = np.asarray(_manipulabilities(cell.chain, passed.reshape(-1, q.shape[-1])))
-    man_share = np.clip(man / scale, 0, 1).reshape(2, STEPS)
-    infeasible = np.stack([~ok, available == 0]) | collides
-    leaves: list[Any] = [np.asarray(a, np.float32) for a in (q, man_share, infeasible, available)]
+    man_share = np.clip(manipulabilities(cell, passed) / scale, 0, 1)
+    leaves: list[Any] = [
+        np.asarray(a, np.float32) for a in (q, man_share, infeasible | collides, available)
+    ]
     return Combined(*leaves)
 
 

@@ -59,8 +59,13 @@ class Judge:
 
         Both `scene` and `margin` are `[point]`.
         """
+        # clearances end at the margin as float32: it may be less than the margin itself
+        return self.clearances(scene, q) >= np.asarray(margin, np.float32)
+
+    def clearances(self, scene: np.ndarray, q: np.ndarray) -> np.ndarray:
+        """Clearances `[point]` [m] of configurations, up to the largest margin; see `keep`."""
         # no margin exceeds `config.margin`: larger clearances need not be told apart
-        return clearances_in_scenes(self.cell, self.scenes, scene, q, self.config.margin) >= margin
+        return clearances_in_scenes(self.cell, self.scenes, scene, q, self.config.margin)
 
 
 def draw_seeds(judge: Judge, poses: int, key: PRNGKeyArray, number: int) -> np.ndarray:

@@ -22,6 +22,7 @@ from hybrid_jax.planner.infeasible_segments import gap_segment
 from hybrid_jax.planner.lfd import SkillPath, skill_paths, without_skills
 from hybrid_jax.planner.phase_scenes import task_scenes
 from hybrid_jax.planner.records import Planner
+from hybrid_jax.planner.target_area import plan_checked
 from hybrid_jax.planner.task_validation import admit, too_close, why_infeasible
 from hybrid_jax.planner.trajectory_check import ConfigurationChecker
 from hybrid_jax.planner.trajectory_generation import Draft, Fault, finish_phases
@@ -97,6 +98,8 @@ def plan_batch(planner: Planner, tasks: Sequence[Task], *, key: Array) -> list[P
     Returns:
         One result for each task, see `plan_motion`.
     """
+    if planner.config.handover:
+        return plan_checked(planner, tasks, key=key)
     return plan_in_turns(planner.cell, list(tasks), lambda batch: _plan_parts(planner, batch, key))
 
 

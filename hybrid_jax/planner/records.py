@@ -3,7 +3,8 @@
 
 from dataclasses import dataclass, replace
 
-from hybrid_jax.contracts import Bridger, Executor, SkillChooser, Switcher
+from hybrid_jax.contracts import Bridger, Executor, Explorer, SkillChooser, Switcher
+from hybrid_jax.planner.handover import HandoverConfig
 from hybrid_jax.planner.key_pose_ik import PathIkConfig
 from hybrid_jax.planner.smoothing import SmoothingConfig
 from hybrid_jax.planner.timing import TimingConfig
@@ -38,6 +39,9 @@ class PlannerConfig:
     points is used. More leave fewer, for as many times the labelling; motions stay as long."""
     attempts: int = 8
     """Number of routes of a task that are tried, best first."""
+    handover: HandoverConfig | None = None
+    """The paper's own way over gaps: the joint agent leads into a target area, and RL-LfD goes on
+    from where it stops. None: it arrives at a configuration of the skill's path."""
 
     @property
     def first_look(self) -> PathIkConfig:
@@ -66,6 +70,8 @@ class Planner:
     fallback: Bridger | None = None
     """A planner without learning in this cell, for gaps that the joint agent does not bridge; see
     `bridging.rrt_bridger`. None gives up there."""
+    explore: Explorer | None = None
+    """The joint agent without a proof, where `config.handover` asks for it."""
     execute: Executor | None = None
     """Judges the points of both motions by what becomes of them in simulation, for the switching
     agent; None judges them as they are planned."""

@@ -8,8 +8,10 @@ import jax
 
 from hybrid_jax.agents import dqn, joint, networks, switching
 from hybrid_jax.agents.joint_bridger import make_bridger
-from hybrid_jax.contracts import Bridger, Executor, SkillChooser, Switcher
+from hybrid_jax.agents.joint_rollouts import make_explorer
+from hybrid_jax.contracts import Bridger, Executor, Explorer, SkillChooser, Switcher
 from hybrid_jax.demonstrations.demonstration import load_demonstrations
+from hybrid_jax.envs.paper_reach import home_manipulability
 from hybrid_jax.errors import RunFolderError
 from hybrid_jax.feasibility.map_files import load_map
 from hybrid_jax.kernels.argument_checks import single_precision
@@ -34,7 +36,13 @@ def read_library(folder: Path | None = None) -> SkillLibrary:
 
 
 def read_scale(run: Run) -> float:
-    """Manipulability that counts as man' = 1, from the run's map."""
+    """Manipulability that counts as man' = 1, from the run's map; with a handover, that of home.
+
+    Raises:
+        InputError: home is singular, where the paper divides by its manipulability.
+    """
+    if run.preset.planner.handover:
+        return float(home_manipulability(run.cell))
     return float(load_map(run.path("map.npz"), run.cell).manipulability_scale)
 
 
@@ -81,12 +89,21 @@ def load_executor(run: Run) -> Executor | None:
     return make_executor(run.cell, config.backend, config.physics)
 
 
-def load_bridger(run: Run, name: str = "drl.npz") -> Bridger:
-    """A trained joint agent as a `Bridger`: segments and a key to way points `[point, joint]`."""
+def load_joint_policy(run: Run, name: str = "drl.npz") -> networks.Policy:
+    """A trained joint agent of the run."""
     cell, config = run.cell, run.preset.joint
     net = joint.make_net(cell, config)
-    policy = load_policy(run, name, "joint agent", net, joint.observation_length(cell, config))
-    return make_bridger(cell, policy, config)
+    return load_policy(run, name, "joint agent", net, joint.observation_length(cell, config))
+
+
+def load_bridger(run: Run, name: str = "drl.npz") -> Bridger:
+    """A trained joint agent as a `Bridger`: segments and a key to way points `[point, joint]`."""
+    return make_bridger(run.cell, load_joint_policy(run, name), run.preset.joint)
+
+
+def load_explorer(run: Run, name: str = "drl.npz") -> Explorer:
+    """A trained joint agent as an `Explorer`: segments and a key to all its rollouts."""
+    return make_explorer(run.cell, load_joint_policy(run, name), run.preset.joint)
 
 
 def load_chooser(run: Run) -> SkillChooser:
@@ -120,6 +137,20 @@ def untrained_planner(
     switch = optimal_switcher(DEFAULT.switch)
     library = read_library(skills)
     return Planner(cell, library, optimal_chooser, None, switch, scale, config, fallback)
+
+
+def planner_without_agents(run: Run) -> Planner:
+    """The planner of a run before its joint agent and its switching agent are trained."""
+    preset, switch = run.preset, optimal_switcher(run.preset.switch)
+    return Planner(
+        run.cell,
+        read_library(run.skills),
+        load_chooser(run),
+        None,
+        switch,
+        read_scale(run),
+        preset.planner,
+    )
 
 
 @single_precision
@@ -157,10 +188,11 @@ def load_planner(run: Run, *, switch: str = "learned") -> Planner:
         cell=cell,
         library=read_library(run.skills),
         choose=load_chooser(run),
-        bridge=load_bridger(run),
+        bridge=None if preset.planner.handover else load_bridger(run),
         switch=learned_switcher(run) if switch == "learned" else optimal_switcher(preset.switch),
         scale=read_scale(run),
         config=preset.planner,
+        explore=load_explorer(run) if preset.planner.handover else None,
         execute=load_executor(run),
         fallback=rrt_bridger(cell, preset.fallback),
     )

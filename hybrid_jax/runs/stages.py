@@ -21,7 +21,7 @@ from hybrid_jax.execution.single_tasks import execution_of
 from hybrid_jax.feasibility import building
 from hybrid_jax.feasibility.evaluation import Reason
 from hybrid_jax.feasibility.map_files import save_map
-from hybrid_jax.planner import infeasible_segments
+from hybrid_jax.planner import infeasible_segments, target_area_data
 from hybrid_jax.planner.lfd import optimal_chooser
 from hybrid_jax.planner.pipeline import plan_batch
 from hybrid_jax.reports import film
@@ -29,7 +29,12 @@ from hybrid_jax.reports.learning_curves import draw_curves
 from hybrid_jax.reports.map_picture import draw_map
 from hybrid_jax.runs import seeds
 from hybrid_jax.runs.checkpoints import discard, train_agent
-from hybrid_jax.runs.load_planner import load_planner, read_library, read_scale
+from hybrid_jax.runs.load_planner import (
+    load_planner,
+    planner_without_agents,
+    read_library,
+    read_scale,
+)
 from hybrid_jax.runs.run_folder import Run
 from hybrid_jax.runs.switch_problems import switch_problems
 from hybrid_jax.runtime import artifacts, output_files
@@ -119,6 +124,9 @@ def collect_segments(run: Run, name: str, first: int, count: int, quiet: bool) -
     Returns:
         Segments with ends `[segment, joint]` [rad].
     """
+    if run.preset.planner.handover:
+        tasks = [random_task(run.cell, number) for number in range(first, first + count)]
+        return target_area_data.harvest(planner_without_agents(run), tasks)
     progress = Progress(name, "tasks", quiet)
     return infeasible_segments.harvest(
         run.cell,
@@ -200,8 +208,10 @@ def combined_problems(run: Run) -> Combined:
     """
     planner = load_planner(run, switch="optimal")
     numbers = range(TRAINING_TASKS, TRAINING_TASKS + run.preset.switch_tasks)
-    tasks = [random_task(run.cell, number) for number in numbers]
-    return switch_problems(planner, tasks, jax.random.key(run.seed))
+    tasks, key = [random_task(run.cell, number) for number in numbers], jax.random.key(run.seed)
+    if run.preset.planner.handover:
+        return target_area_data.switch_problems(planner, tasks, key)
+    return switch_problems(planner, tasks, key)
 
 
 def run_switch(run: Run, quiet: bool) -> dict:

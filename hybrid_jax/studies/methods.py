@@ -4,7 +4,7 @@
 import functools
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 
@@ -15,7 +15,7 @@ from hybrid_jax.baselines.ablations import (
     lfd_only,
     plan_directly,
 )
-from hybrid_jax.baselines.trained import paper_run, whole_space_agent
+from hybrid_jax.baselines.trained import paper_run, pure_agent, whole_space_agent
 from hybrid_jax.baselines.unchecked import follow_skills
 from hybrid_jax.contracts import PlanResult
 from hybrid_jax.errors import RunFolderError, UnknownNameError
@@ -24,7 +24,12 @@ from hybrid_jax.execution.plan_execution import ExecutionConfig
 from hybrid_jax.execution.scheduler import planning
 from hybrid_jax.planner.pipeline import plan_batch
 from hybrid_jax.planner.records import Planner
-from hybrid_jax.runs.load_planner import load_learned_chooser, load_planner
+from hybrid_jax.planner.target_area import plan_unchecked
+from hybrid_jax.runs.load_planner import (
+    load_learned_chooser,
+    load_planner,
+    optimal_switcher,
+)
 from hybrid_jax.runs.run_folder import Run
 from hybrid_jax.runtime.progress import Progress
 from hybrid_jax.runtime.terminal import remark
@@ -32,9 +37,12 @@ from hybrid_jax.tasks.task import Task
 
 METHODS = {
     "hybrid": "skills and joint agent, as the planner is used",
-    "paper": "the same with the paper's agents (preset `paper`)",
+    "paper": "the paper's method (preset `paper`), executed as it is",
+    "paper_literal": "the same, switching for man' - COL alone, without costs of jumps",
+    "paper_lfd": "its skills alone, executed as they are",
+    "paper_drl": "the paper's pure DRL of the whole work space alone, executed as it is",
     "lfd": "skills alone; what the final check refuses is not executed",
-    "lfd_executed": "skills alone, executed as they are, as in the paper",
+    "lfd_executed": "skills alone, executed as they are",
     "drl": "a joint agent of the whole work space alone, from key pose to key pose",
     "ompl": "OMPL's RRT-Connect between the same key poses",
     "disturbed": "hybrid, with what `execution.disturbances.DISTURBED` changes",
@@ -102,7 +110,8 @@ def make_method(name: str, run: Run, paper: Run | None) -> Method | None:
     Args:
         name: a key of `METHODS`.
         run: whose planner is compared.
-        paper: run of preset `paper`, for the method of that name; trained if None.
+        paper: run of preset `paper`, for its methods; if None, `run` itself where it is one, else
+            one that is trained in its folder.
 
     Raises:
         UnknownNameError: no such method.
@@ -110,8 +119,8 @@ def make_method(name: str, run: Run, paper: Run | None) -> Method | None:
     """
     if name not in METHODS:
         raise UnknownNameError("method", name, METHODS)
-    if name == "paper":
-        return _paper(run, paper)
+    if name in PAPERS:
+        return _paper(name, run, paper)
     planner = load_planner(run)
     if name == "ompl":
         return _ompl(planner)
@@ -128,14 +137,26 @@ def make_method(name: str, run: Run, paper: Run | None) -> Method | None:
     return Method(name, planner, plan_batch, DISTURBED if name == "disturbed" else CALM)
 
 
-def _paper(run: Run, paper: Run | None) -> Method:
-    paper = paper or paper_run(run)
+PAPERS = ("paper", "paper_literal", "paper_lfd", "paper_drl")
+"""Methods of the paper, with its own agents; each plan is executed once."""
+
+
+def _paper(name: str, run: Run, paper: Run | None) -> Method:
+    paper = paper or (run if run.preset.planner.handover else paper_run(run))
     if paper.cell.source.digest != run.cell.source.digest:
         raise RunFolderError(
             f"{paper.folder} was trained for cell {paper.cell.source.name!r}, not for "
             f"{run.cell.source.name!r} of {run.folder}; give a run of the same cell"
         )
-    return Method("paper", load_planner(paper), plan_batch)
+    planner, once = load_planner(paper), ExecutionConfig(tries=1)
+    if name == "paper_lfd":
+        return Method(name, planner, follow_skills, execution=once)
+    if name == "paper_drl":
+        planner = pure_agent(paper, planner)
+    if name == "paper_literal":  # its optimum, point by point: what an agent could learn at best
+        literal = replace(paper.preset.switch, jump=0.0, switch=0.0)
+        planner = replace(planner, switch=optimal_switcher(literal))
+    return Method(name, planner, plan_unchecked, execution=once)
 
 
 def _ompl(planner: Planner) -> Method | None:
