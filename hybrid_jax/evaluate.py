@@ -34,14 +34,14 @@ def main(
         out: JSON file to write: every run with its seed, and the metrics. A chart and the
             recordings of failed runs are put beside it.
         runs: random scenes; of an inspection, scenes for each part. Their seeds begin with --seed.
-        methods: hybrid, lfd, lfd_executed, drl, ompl, disturbed, paper, ablation_...; if none is
-            named, those of the cell's study.
+        methods: hybrid, lfd, lfd_executed, drl, ompl, disturbed, paper, paper_literal, paper_lfd,
+            paper_drl, ablation_...; if none is named, those of the cell's study.
         seed: of the first scene; if not given, the study's own, which nothing was tuned on
             (`hybrid_jax.runs.seeds`).
         engine: physics that carries the plans out: C MuJoCo on all cores (mujoco), or MJX (mjx);
             auto takes the latter on an accelerator.
-        paper: folder of a run of preset paper, for method paper; trained into the run's folder
-            if not given.
+        paper: folder of a run of preset paper, for the methods of the paper; if not given, --run
+            where it is one, else one that is trained into its folder.
         figures: JSON file for the metrics alone, with command, commit, machine and versions.
         video: MP4 or GIF to write instead: the scene of --seed, the first two methods side by side.
         quiet: print the metrics only.

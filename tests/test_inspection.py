@@ -26,7 +26,7 @@ from hybrid_jax.runs.load_planner import untrained_planner
 from hybrid_jax.runs.presets import DEFAULT
 from hybrid_jax.studies import inspection as study
 from hybrid_jax.studies.inspection_pictures import draw_study
-from hybrid_jax.studies.measures import steady_from
+from hybrid_jax.studies.steadiness import steady_from
 from hybrid_jax.tasks.handling import require_handling
 from hybrid_jax.tasks.inspection import brush_errors, on_face, random_start
 from hybrid_jax.tasks.registry import make_task, random_task

@@ -22,7 +22,7 @@ def whole_space_agent(run: Run, planner: Planner) -> Planner:
     Its training has the same budget as the hybrid's. The agent is kept in the run's folder as
     `alone.npz`.
     """
-    _train_alone(run, run.preset.joint)
+    _train_alone(run, "alone", run.preset.joint)
     return replace(planner, bridge=load_bridger(run, "alone.npz"))
 
 
@@ -30,26 +30,27 @@ def pure_agent(run: Run, planner: Planner) -> Planner:
     """The planner of a run of preset `paper` with the paper's pure DRL in place of all its agents.
 
     It learns in the whole work space for as many steps, by the joint distance and a reward at the
-    goal, with the target area of 25 cm, and leads from key pose to key pose.
+    goal, with the target area of 25 cm, and leads from key pose to key pose. The agent is kept in
+    the run's folder as `pure.npz`.
     """
     joint_config = replace(run.preset.joint, reach=PURE)
-    _train_alone(run, joint_config)
-    explore = make_explorer(run.cell, load_joint_policy(run, "alone.npz"), joint_config)
+    _train_alone(run, "pure", joint_config)
+    explore = make_explorer(run.cell, load_joint_policy(run, "pure.npz"), joint_config)
     handover = replace(planner.config.handover or HandoverConfig(), radius=PURE.radius)
     config = replace(planner.config, direct=True, handover=handover)
     return replace(planner, explore=explore, config=config)
 
 
-def _train_alone(run: Run, config: JointAgentConfig) -> None:
-    """Train a joint agent in the whole work space, where the run has none yet: `alone.npz`."""
-    if run.finished("alone"):
+def _train_alone(run: Run, name: str, config: JointAgentConfig) -> None:
+    """Train a joint agent in the whole work space, where the run has none of that name yet."""
+    if run.finished(name):
         return
     cell = run.cell
     env = joint.make_env(cell, free_pairs(cell, training_segments(run, False)), config)
     net = joint.make_net(cell, config)
-    state = train_agent(run, "alone", env, net, config.training, False)
-    run.save("alone.npz", "joint agent", state.policy())
-    discard(run, "alone")
+    state = train_agent(run, name, env, net, config.training, False)
+    run.save(f"{name}.npz", "joint agent", state.policy())
+    discard(run, name)
 
 
 def paper_run(run: Run) -> Run:

@@ -6,6 +6,7 @@ The file that marks a stage as finished is written last, so a run can be stopped
 
 import functools
 import json
+import time
 from collections.abc import Callable
 
 import jax
@@ -86,7 +87,7 @@ def run_lfd(run: Run, quiet: bool) -> dict:
     trainer = dqn.make_trainer(tasks, config, chunk)
     evaluate = jax.jit(lambda params: hdqn_networks.greedy_plans(nets, params, test)[1])
     state, progress = dqn.initialize(tasks, config), Progress("lfd", "rounds", quiet)
-    row = {}
+    row, began = {}, time.perf_counter()
     for rounds_done in range(chunk, config.rounds + 1, chunk):
         state, metrics = trainer(state)
         total = np.asarray(evaluate(state.params))
@@ -94,6 +95,7 @@ def run_lfd(run: Run, quiet: bool) -> dict:
         ratio = float(total[solved].sum() / best[solved].sum()) if solved.any() else float("nan")
         row = {
             "step": int(state.episodes),
+            "seconds": round(time.perf_counter() - began, 3),
             "reward": float(metrics["reward"].mean()),
             "solved": float(solved.sum() / max(np.isfinite(best).sum(), 1)),
             "cost_over_optimum": round(ratio, 4),

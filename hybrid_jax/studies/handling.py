@@ -13,6 +13,7 @@ from hybrid_jax.runs.run_folder import Run
 from hybrid_jax.studies.handling_pictures import draw_study
 from hybrid_jax.studies.measures import Metrics, rate
 from hybrid_jax.studies.methods import Method, carry_out
+from hybrid_jax.studies.steadiness import add_steadiness
 from hybrid_jax.types import Workcell
 
 SEEDS = seeds.HANDLING_STUDY
@@ -142,10 +143,20 @@ def _add_plans(metrics: Metrics, method: str, objects: list[dict]) -> None:
         metrics.add(f"{method}_share_{source.lower()}", share, "1", "", note)
 
 
+CURVES = {
+    "lfd": ("lfd", "cost_over_optimum", "cost of its plans of unseen tasks"),
+    "drl_feasibility": ("drl", "return", "return"),
+    "switching": ("switch", "return", "return"),
+    "pure_drl": ("pure", "return", "return"),
+}
+"""For each agent the stage of its training, the curve that tells when it is steady, in words."""
+
+
 def learning(run: Run) -> list[dict]:
-    """Metrics of the trainings; this study has none."""
-    del run
-    return []
+    """Metrics of the trainings: when each agent was steady."""
+    metrics = Metrics("handling")
+    add_steadiness(metrics, run, CURVES)
+    return metrics.rows
 
 
 def succeeded(report: SortingReport) -> bool:

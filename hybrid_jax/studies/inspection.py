@@ -10,8 +10,9 @@ from hybrid_jax.execution.inspection import EXACT, InspectionReport, Trial, insp
 from hybrid_jax.runs import seeds
 from hybrid_jax.runs.run_folder import Run
 from hybrid_jax.studies.inspection_pictures import draw_study
-from hybrid_jax.studies.measures import Metrics, rate, steady_from
+from hybrid_jax.studies.measures import Metrics, rate
 from hybrid_jax.studies.methods import Method, carry_out
+from hybrid_jax.studies.steadiness import add_steadiness
 from hybrid_jax.tasks.inspection import require_inspection
 from hybrid_jax.types import Workcell
 
@@ -19,9 +20,6 @@ SEEDS = seeds.INSPECTION_STUDY
 """Seeds of the study's trials."""
 METHODS = ("hybrid", "drl")
 """Methods that are compared by default."""
-STEADY, MEAN_OF = 0.05, 5
-"""Criterion of a steady agent: the moving mean over `MEAN_OF` updates stays within the share
-`STEADY` of its final value."""
 LEVELS = {
     "5cm_5deg": (0.05, np.radians(5.0)),
     "1cm_2deg": (0.01, np.radians(2.0)),
@@ -178,40 +176,22 @@ def _rms(values) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
+CURVES = {
+    "lfd": ("lfd", "cost_over_optimum", "cost of its plans of unseen tasks"),
+    "drl_feasibility": ("drl", "return", "return"),
+    "drl": ("alone", "return", "return"),
+    "pure_drl": ("pure", "return", "return"),
+}
+"""For each agent the stage of its training, the curve that tells when it is steady, in words."""
+
+
 def learning(run: Run) -> list[dict]:
-    """Metrics of the trainings: the map, and after how many episodes each agent was steady."""
+    """Metrics of the trainings: the map, and when each agent was steady."""
     metrics = Metrics("inspection")
     for row in run.metrics("map")[-1:]:
         note = f"of {row['step']:,} tool poses of the map"
         metrics.add("map_feasible", row["feasible"], "1", "higher", note)
-    curves = {
-        "lfd": ("lfd", "cost_over_optimum", "cost of its plans of unseen tasks"),
-        "drl_feasibility": ("drl", "return", "return"),
-        "drl": ("alone", "return", "return"),
-    }
-    for name, (stage, column, text) in curves.items():
-        rows = [row for row in run.metrics(stage) if column in row]
-        if not rows:
-            continue
-        has_episodes = "episodes" in rows[0]
-        episodes = (
-            np.cumsum([row["episodes"] for row in rows])
-            if has_episodes
-            else [row["step"] for row in rows]
-        )
-        values = np.convolve([row[column] for row in rows], np.full(MEAN_OF, 1 / MEAN_OF), "valid")
-        # a moving mean belongs to the last update of its window
-        steady = steady_from(episodes[MEAN_OF - 1 :], values, STEADY)
-        note = f"{text} stays within {STEADY:.0%} of where it ends, of {episodes[-1]:,.0f} episodes"
-        metrics.add(f"{name}_steady_episodes", steady, "1", "lower", note)
-        last_successes = [row["success"] for row in rows if "success" in row][-MEAN_OF:]
-        if last_successes:
-            note = (
-                f"share of the training episodes that end well, last {len(last_successes)} updates"
-            )
-            metrics.add(
-                f"{name}_training_success", float(np.mean(last_successes)), "1", "higher", note
-            )
+    add_steadiness(metrics, run, CURVES)
     return metrics.rows
 
 

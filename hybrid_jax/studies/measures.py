@@ -2,10 +2,8 @@
 """Metrics of a study: rates with their intervals, steadiness of curves, and a printed table."""
 
 from collections import Counter
-from collections.abc import Sequence
 
 import jax
-import numpy as np
 from scipy.stats import binomtest
 
 
@@ -55,20 +53,6 @@ def rate(won: list[bool], causes: list[str] | None = None) -> tuple[float, str, 
     failed = Counter(cause for cause, success in pairs if not success)
     note += "".join(f"; {cause} {times}" for cause, times in failed.most_common())
     return wins / count, "1", "higher", note
-
-
-def steady_from(at: Sequence[float], values: Sequence[float], tolerance: float) -> float:
-    """Step from which on a curve stays within a tolerance of its final value.
-
-    Args:
-        at: `[point]` steps or episodes.
-        values: `[point]` of the curve; its final value is the mean of the last tenth.
-        tolerance: share of the final value.
-    """
-    curve = np.asarray(values, float)
-    final = curve[-max(1, len(curve) // 10) :].mean()
-    outside = np.flatnonzero(np.abs(curve - final) > tolerance * abs(final))
-    return float(at[min(outside[-1] + 1, len(curve) - 1)]) if outside.size else float(at[0])
 
 
 def as_table(metrics: list[dict]) -> str:
