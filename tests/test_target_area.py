@@ -103,6 +103,15 @@ def test_a_plan_passes_the_final_check_or_is_refused(planner, task):
     assert unchecked.status is Status.OK and len(unchecked.phases) == 3
 
 
+def test_an_end_that_the_skill_does_not_reach_is_refused_by_name(planner, task):
+    (found,) = plan_batch(planner, [task], key=KEY)
+    end = found.phases[-1].positions[-1]
+    (same,) = plan_batch(planner, [replace(task, end=end)], key=KEY)
+    assert same.status is Status.OK
+    (other,) = plan_batch(planner, [replace(task, end=end + 0.5)], key=KEY)
+    assert other.status is Status.NO_PATH and "another configuration" in other.detail
+
+
 def test_agents_learn_from_the_same_gaps_and_motions(cell, planner):
     tasks = [random_task(cell, seed) for seed in (BLOCK, BOLT)]
     segments = harvest(planner, tasks)

@@ -98,13 +98,13 @@ def plan_batch(planner: Planner, tasks: Sequence[Task], *, key: Array) -> list[P
     Returns:
         One result for each task, see `plan_motion`.
     """
-    if planner.config.handover:
-        return plan_checked(planner, tasks, key=key)
     return plan_in_turns(planner.cell, list(tasks), lambda batch: _plan_parts(planner, batch, key))
 
 
 def _plan_parts(planner: Planner, tasks: Sequence[Task], key: Array) -> list[PlanResult]:
     """Plan a batch, in several parts if it is large enough."""
+    if planner.config.handover:
+        return plan_checked(planner, tasks, key)
     count = max(1, min(PARTS, len(tasks) // LEAST_PART))
     parts = [tasks[i::count] for i in range(count)]
     if count == 1:
@@ -270,9 +270,7 @@ def why_unbridged(planner: Planner, start: int, end: int) -> str:
     where = f"key pose {start} to {end}: no way{gap}"
     methods = {"the joint agent": planner.bridge, "the fallback planner": planner.fallback}
     tried = " or ".join(name for name, method in methods.items() if method)
-    return (
-        f"{where} was found by {tried}" if tried else f"{where}: nothing is there to look for one"
-    )
+    return f"{where} was found by {tried}" if tried else f"{where}: nothing looks for one"
 
 
 def finish_jobs(planner: Planner, checker: ConfigurationChecker, jobs: list[Job]) -> None:

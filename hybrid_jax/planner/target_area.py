@@ -249,10 +249,11 @@ def plan_unchecked(planner: Planner, tasks: Sequence[Task], *, key: Array) -> li
     ]
 
 
-def plan_checked(planner: Planner, tasks: Sequence[Task], *, key: Array) -> list[PlanResult]:
+def plan_checked(planner: Planner, tasks: Sequence[Task], key: Array) -> list[PlanResult]:
     """Plan tasks as the paper does; what the final check refuses is no plan.
 
-    Arguments and results are those of `pipeline.plan_batch`.
+    Arguments and results are those of `pipeline.plan_batch`. A task that names the configuration
+    to end in is refused where the skill ends in another one: the paper knows key poses only.
     """
     checker, results = ConfigurationChecker(planner.cell, planner.config.check), []
     for number, task in enumerate(tasks):
@@ -271,6 +272,13 @@ def _judged(
     """The plan if it passes the final check, else the reason why not."""
     if result.status is not Status.OK:
         return result
+    away = 0.0 if task.end is None else np.abs(result.phases[-1].positions[-1] - task.end).max()
+    if away > planner.config.path_ik.arrived:
+        detail = (
+            f"the last key pose is reached in another configuration than the task names "
+            f"({away:.2f} rad away): preset 'paper' chooses none; take another preset"
+        )
+        return PlanResult(Status.NO_PATH, detail, skills=result.skills)
     scenes: Scene = jax.device_get(task_scenes(planner.cell, task))
     for number, motion in enumerate(result.phases):
         cell = inside(planner.cell, scenes, task.phases[number][0])
