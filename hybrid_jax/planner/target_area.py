@@ -17,6 +17,7 @@ import numpy as np
 from jax import Array
 
 from hybrid_jax.contracts import Combined, PlanResult, Segments
+from hybrid_jax.errors import InputError
 from hybrid_jax.kernels.argument_checks import single_precision
 from hybrid_jax.kernels.collision.motion_validation import measure_here
 from hybrid_jax.planner import combined_path
@@ -84,7 +85,7 @@ class _Segment:
 def _segment(
     planner: Planner, judge: Judge, number: int, poses: np.ndarray, start: np.ndarray, key: Array
 ) -> _Segment:
-    """Follow one segment; over its gaps the agent leads (Algorithm 3).
+    """Follow one segment; over its gaps the agent leads (Algorithm 3), if there is one.
 
     Args:
         planner: agent and settings.
@@ -95,10 +96,10 @@ def _segment(
         key: consumed.
     """
     config, explore, found = planner.config.handover, planner.explore, _Segment()
-    assert config and explore
     scene = jax.tree.map(lambda a: a[number], judge.scenes)
     (path,) = follow(judge, np.array([number]), poses[None], start[None], key_pose_first=True)
-    for attempt in range(config.tries):
+    for attempt in range(config.tries if config and explore else 0):
+        assert config and explore
         gap = first_gap(path.feasible, config.island)
         if gap is None or gap[1] == len(path.q) - 1:  # at the key pose nothing leads around it
             break
@@ -125,7 +126,8 @@ def _segment(
 def _straight_to(planner: Planner, judge: Judge, number: int, poses, start, key) -> _Segment:
     """The agent alone, from where the arm stands into the target area of the segment's end."""
     config, explore, found = planner.config.handover, planner.explore, _Segment()
-    assert config and explore
+    if not (config and explore):
+        raise InputError("there is no joint agent that could lead from key pose to key pose")
     (path,) = follow(judge, np.array([number]), poses[None], start[None], key_pose_first=True)
     scene = jax.tree.map(lambda a: a[number][None], judge.scenes)
     ends = jax.tree.map(jnp.asarray, (start[None], path.q[-1:]))

@@ -10,6 +10,7 @@ import numpy as np
 
 from hybrid_jax.agents import joint, networks, switching
 from hybrid_jax.agents.joint_bridger import make_bridger
+from hybrid_jax.agents.joint_rollouts import make_explorer
 from hybrid_jax.contracts import Segments
 from hybrid_jax.kernels.argument_checks import single_precision
 from hybrid_jax.planner.pipeline import plan_batch
@@ -38,12 +39,15 @@ def blank_planner(cell: Workcell, preset: Preset) -> Planner:
     """
     net, joints = joint.make_net(cell, preset.joint), cell.home.size
     blank = _blank_policy(net, joint.observation_length(cell, preset.joint))
-    bridge = make_bridger(cell, blank, preset.joint)
+    if preset.planner.handover:
+        agent = {"explore": make_explorer(cell, blank, preset.joint)}
+    else:
+        agent = {"bridge": make_bridger(cell, blank, preset.joint)}
     switch_net = switching.make_net(joints, preset.switch)
     observed = switching.SwitchEnv.observation_length(joints)
     switch = switching.make_switcher(_blank_policy(switch_net, observed), preset.switch)
     planner = untrained_planner(cell, ANY_MANIPULABILITY, preset.planner)
-    return replace(planner, bridge=bridge, switch=switch)
+    return replace(planner, **agent, switch=switch)
 
 
 def _blank_policy(net: networks.ActorCritic, observations: int) -> networks.Policy:
