@@ -26,7 +26,8 @@ from hybrid_jax.runs.load_planner import untrained_planner
 from hybrid_jax.runs.presets import DEFAULT
 from hybrid_jax.studies import inspection as study
 from hybrid_jax.studies.inspection_pictures import draw_study
-from hybrid_jax.studies.steadiness import steady_from
+from hybrid_jax.studies.measures import Metrics
+from hybrid_jax.studies.steadiness import add_steadiness, steady_from
 from hybrid_jax.tasks.handling import require_handling
 from hybrid_jax.tasks.inspection import brush_errors, on_face, random_start
 from hybrid_jax.tasks.registry import make_task, random_task
@@ -273,3 +274,22 @@ def test_mistakes_in_the_task_data_are_named(fpi, tmp_path, old, new, kind, mess
     (tmp_path / "cell.toml").write_text(text.replace(old, new))
     with pytest.raises(kind, match=message):
         load_workcell(tmp_path / "cell.xml")
+
+
+def test_steadiness_is_told_in_episodes_and_in_computing_time():
+    """Ten updates of 100 steps at 50 steps/s; the curve is flat from the third on."""
+
+    class Trained:
+        def metrics(self, stage):
+            values = [0.0, 5.0] + [10.0] * 8 if stage == "drl" else [1.0]
+            return [
+                {"step": 100 * (i + 1), "episodes": 4, "rate": 50.0, "return": value}
+                for i, value in enumerate(values)
+            ]
+
+    metrics = Metrics("some")
+    curves = {"drl": ("drl", "return", "return"), "switch": ("switch", "return", "return")}
+    add_steadiness(metrics, Trained(), curves)  # pyright: ignore[reportArgumentType]
+    found = {row["key"]: row["value"] for row in metrics.rows}
+    # the first mean of five that holds no early value ends with the seventh update
+    assert found == {"some.drl_steady_episodes": 28.0, "some.drl_steady_seconds": 14.0}

@@ -47,6 +47,8 @@ def _seconds(rows: list[dict]) -> np.ndarray:
 def add_steadiness(metrics: Metrics, run: Run, curves: dict[str, tuple[str, str, str]]) -> None:
     """Add when agents were steady, and how often their last episodes ended well.
 
+    Trainings of fewer than `MEAN_OF` updates are left out.
+
     Args:
         metrics: to add to.
         run: with the logs of the trainings; agents without one are left out.
@@ -54,14 +56,14 @@ def add_steadiness(metrics: Metrics, run: Run, curves: dict[str, tuple[str, str,
     """
     for name, (stage, column, text) in curves.items():
         rows = [row for row in run.metrics(stage) if column in row]
-        if not rows:
+        if len(rows) < MEAN_OF:  # too short to tell
             continue
         values = np.convolve([row[column] for row in rows], np.full(MEAN_OF, 1 / MEAN_OF), "valid")
         for unit, label, at in (
             ("1", "episodes", _episodes(rows)),
             ("s", "seconds", _seconds(rows)),
         ):
-            if not at.size or not values.size:
+            if not at.size:
                 continue
             # a moving mean belongs to the last update of its window
             steady = steady_from(at[MEAN_OF - 1 :], values, STEADY)
