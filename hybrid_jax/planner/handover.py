@@ -43,7 +43,7 @@ class HandoverConfig:
     clear: float = 0.008
     """Clearance below which a point counts as COL for the switching agent [m]: servos do not keep
     to a path exactly, and the joint agent keeps as much."""
-    states: int = 320
+    states: int = 640
     """States of all rollouts in the target area that are considered at most."""
 
 

@@ -73,7 +73,7 @@ PAPER = Preset(
             hidden=(64, 64),
         ),
         reach=PaperReachConfig(),
-        rollouts=(16,),
+        rollouts=(64,),
         edge_samples=12,  # no path is proven, and walls are thin
     ),
     switch=SwitchConfig(
