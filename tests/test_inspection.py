@@ -23,7 +23,7 @@ from hybrid_jax.export.fanuc_tp_reader import read_tp_program
 from hybrid_jax.export.waypoint_reduction import TOLERANCE
 from hybrid_jax.planner.pipeline import plan_batch
 from hybrid_jax.runs.load_planner import untrained_planner
-from hybrid_jax.runs.presets import DEFAULT
+from hybrid_jax.runs.presets import DEFAULT, PAPER
 from hybrid_jax.studies import inspection as study
 from hybrid_jax.studies.inspection_pictures import draw_study
 from hybrid_jax.studies.measures import Metrics
@@ -240,6 +240,8 @@ def test_the_study_adds_up(tmp_path):
             return [{"step": 1, "cost_over_optimum": 1.0, "success": 0.5, "episodes": 3.0}]
 
     class Trained:
+        preset = DEFAULT
+
         def metrics(self, stage):
             return {
                 "map": [{"step": 1000, "feasible": 0.25}],
@@ -251,6 +253,9 @@ def test_the_study_adds_up(tmp_path):
     assert found["inspection.lfd_steady_episodes"] == 7
     assert found["inspection.drl_steady_episodes"] == 15
     assert found["inspection.drl_training_success"] == 0.5
+    Trained.preset = PAPER
+    paper = {m["key"]: m["value"] for m in study.learning(Trained())}
+    assert paper["inspection.paper_map_feasible"] == 0.25 and not paper.keys() & found.keys()
 
     draw_study(tmp_path / "study.png", rows, Blank())
     assert (tmp_path / "study.png").stat().st_size > 10_000

@@ -125,6 +125,20 @@ def test_at_rates_a_step_is_a_period_of_motion_and_stops_before_obstacles(cell, 
     assert refused
 
 
+def test_an_arm_that_stands_close_may_move_away(cell, env, engine_gap):
+    """With a margin larger than its clearance at home, it still leaves, but comes no closer."""
+    rules = PaperReachConfig(margin=1.0)
+    moving = PaperReachEnv(cell, env.segments, rules)
+    step, begin = jax.jit(moving.step), moving.start(jnp.int32(0), cell.home)
+    before, moved = engine_gap(np.asarray(cell.home)), 0
+    for action in np.random.default_rng(1).uniform(-1, 1, (12, 7)).astype(np.float32):
+        move = step(begin, action)
+        if not bool(move.info["collision"]):
+            moved += 1
+            assert engine_gap(np.asarray(move.state.q)) > before - 2e-3
+    assert 0 < moved < 12
+
+
 def test_hovering_never_earns_more_than_arriving(cell, env):
     moving = PaperReachEnv(cell, env.segments, PaperReachConfig())
     hover = PaperReachEnv(cell, env.segments, replace(PaperReachConfig(), hover_cost=0.0))

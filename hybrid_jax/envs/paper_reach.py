@@ -202,10 +202,11 @@ class PaperReachEnv:
             return target, 1.0 * (gap < rules.margin)
         periods = jnp.abs(target - state.q) / (self.cell.velocity_limits * rules.period)
         target = state.q + (target - state.q) / jnp.maximum(jnp.max(periods), 1.0)
-        share = jnp.arange(1, rules.edge_samples + 1)[:, None] / rules.edge_samples
+        share = jnp.arange(rules.edge_samples + 1)[:, None] / rules.edge_samples
         way = state.q + share * (target - state.q)
-        gap = jnp.min(jax.vmap(clearance_up_to, (None, 0, None))(cell, way, rules.margin + SEEN))
-        hit = gap < rules.margin
+        gaps = jax.vmap(clearance_up_to, (None, 0, None))(cell, way, rules.margin + SEEN)
+        # an arm that stands closer to something may move, but no closer
+        hit = jnp.min(gaps[1:]) < jnp.minimum(rules.margin, gaps[0])
         return jnp.where(hit, state.q, target), 1.0 * hit
 
     def step(self, state: PaperReachState, action: Array) -> StepResult:

@@ -154,7 +154,7 @@ CURVES = {
 
 def learning(run: Run) -> list[dict]:
     """Metrics of the trainings: when each agent was steady."""
-    metrics = Metrics("handling")
+    metrics = Metrics("handling", run.preset)
     add_steadiness(metrics, run, CURVES)
     return metrics.rows
 

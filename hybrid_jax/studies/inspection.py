@@ -187,7 +187,7 @@ CURVES = {
 
 def learning(run: Run) -> list[dict]:
     """Metrics of the trainings: the map, and when each agent was steady."""
-    metrics = Metrics("inspection")
+    metrics = Metrics("inspection", run.preset)
     for row in run.metrics("map")[-1:]:
         note = f"of {row['step']:,} tool poses of the map"
         metrics.add("map_feasible", row["feasible"], "1", "higher", note)

@@ -6,12 +6,21 @@ from collections import Counter
 import jax
 from scipy.stats import binomtest
 
+from hybrid_jax.runs.presets import Preset
+
 
 class Metrics:
     """A list of metrics under one prefix."""
 
-    def __init__(self, prefix: str):
-        self.prefix, self.rows = prefix, []
+    def __init__(self, study: str, preset: Preset | None = None):
+        """Begin a list.
+
+        Args:
+            study: first part of the keys.
+            preset: of the trainings that are measured: the paper's are told apart by their keys.
+        """
+        own = "paper_" if preset and preset.planner.handover else ""
+        self.prefix, self.rows = f"{study}.{own}", []
         self.device = jax.devices()[0].device_kind
 
     def add(self, name: str, value: float, unit: str, better: str, note: str) -> None:
@@ -26,7 +35,7 @@ class Metrics:
         """
         self.rows.append(
             {
-                "key": f"{self.prefix}.{name}",
+                "key": f"{self.prefix}{name}",
                 "value": value,
                 "unit": unit,
                 "better": better,
