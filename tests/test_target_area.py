@@ -103,13 +103,10 @@ def test_a_plan_passes_the_final_check_or_is_refused(planner, task):
     assert unchecked.status is Status.OK and len(unchecked.phases) == 3
 
 
-def test_an_end_that_the_skill_does_not_reach_is_refused_by_name(planner, task):
+def test_a_task_ends_in_the_configuration_that_it_names(planner, task):
+    """The skill ends at the pose of home, on some configuration of a redundant arm."""
     (found,) = plan_batch(planner, [task], key=KEY)
-    end = found.phases[-1].positions[-1]
-    (same,) = plan_batch(planner, [replace(task, end=end)], key=KEY)
-    assert same.status is Status.OK
-    (other,) = plan_batch(planner, [replace(task, end=end + 0.5)], key=KEY)
-    assert other.status is Status.NO_PATH and "another configuration" in other.detail
+    np.testing.assert_allclose(found.phases[-1].positions[-1], task.end, atol=1e-5)
 
 
 def test_agents_learn_from_the_same_gaps_and_motions(cell, planner):

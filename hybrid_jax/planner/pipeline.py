@@ -270,7 +270,8 @@ def why_unbridged(planner: Planner, start: int, end: int) -> str:
     where = f"key pose {start} to {end}: no way{gap}"
     methods = {"the joint agent": planner.bridge, "the fallback planner": planner.fallback}
     tried = " or ".join(name for name, method in methods.items() if method)
-    return f"{where} was found by {tried}" if tried else f"{where}: nothing looks for one"
+    found = f" was found by {tried}" if tried else ": nothing is there to look for one"
+    return where + found
 
 
 def finish_jobs(planner: Planner, checker: ConfigurationChecker, jobs: list[Job]) -> None:

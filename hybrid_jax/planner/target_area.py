@@ -76,6 +76,11 @@ class _Segment:
         self.feasible.append(path.feasible[:count])
         self.offset += count
 
+    def end_in(self, q: np.ndarray) -> None:
+        """Append a configuration `[joint]` that has the last pose too."""
+        self.q.append(q[None])
+        self.feasible.append(np.ones(1, bool))
+
     def bridge(self, path: Followed, begin: int, goal: int, way: np.ndarray) -> None:
         """Append a path up to its point `goal`, where the agent's way from point `begin` ends."""
         self.windows.append(Window(self.offset + begin, self.offset + goal, way, Source.DRL))
@@ -174,6 +179,8 @@ def task_phases(planner: Planner, task: Task, paths: list[SkillPath], key: Array
     for number, poses in enumerate(path.poses):
         segments.append(lead(planner, judge, number, poses, q, fold_in(key, number)))
         q = segments[-1].q[-1][-1]
+    if task.end is not None:  # the paper knows key poses only: another joint line leads there
+        segments[-1].end_in(np.asarray(task.end, np.float32))
     return path, judge, [_phase_path(segments[low:high]) for low, high in task.phases]
 
 
@@ -254,8 +261,7 @@ def plan_unchecked(planner: Planner, tasks: Sequence[Task], *, key: Array) -> li
 def plan_checked(planner: Planner, tasks: Sequence[Task], key: Array) -> list[PlanResult]:
     """Plan tasks as the paper does; what the final check refuses is no plan.
 
-    Arguments and results are those of `pipeline.plan_batch`. A task that names the configuration
-    to end in is refused where the skill ends in another one: the paper knows key poses only.
+    Arguments and results are those of `pipeline.plan_batch`.
     """
     checker, results = ConfigurationChecker(planner.cell, planner.config.check), []
     for number, task in enumerate(tasks):
@@ -274,13 +280,6 @@ def _judged(
     """The plan if it passes the final check, else the reason why not."""
     if result.status is not Status.OK:
         return result
-    away = 0.0 if task.end is None else np.abs(result.phases[-1].positions[-1] - task.end).max()
-    if away > planner.config.path_ik.arrived:
-        detail = (
-            f"the last key pose is reached in another configuration than the task names "
-            f"({away:.2f} rad away): preset 'paper' chooses none; take another preset"
-        )
-        return PlanResult(Status.NO_PATH, detail, skills=result.skills)
     scenes: Scene = jax.device_get(task_scenes(planner.cell, task))
     for number, motion in enumerate(result.phases):
         cell = inside(planner.cell, scenes, task.phases[number][0])
