@@ -280,3 +280,12 @@ def test_a_run_of_another_cell_is_refused(cell, tmp_path):
         methods.make_method(
             "paper", Run(tmp_path / "a", cell, "smoke", 0), Run(tmp_path / "b", other, "paper", 0)
         )
+
+
+@pytest.mark.parametrize("name", ["lfd", "drl", "ablation_rrt"])
+def test_a_run_of_preset_paper_is_not_measured_by_methods_that_change_nothing_in_it(
+    tmp_path, cell, name
+):
+    paper = Run(tmp_path, cell, "paper", 0)
+    with pytest.raises(InputError, match="paper_lfd"):
+        methods.make_method(name, paper, None)

@@ -18,7 +18,7 @@ from hybrid_jax.baselines.ablations import (
 from hybrid_jax.baselines.trained import paper_run, pure_agent, whole_space_agent
 from hybrid_jax.baselines.unchecked import follow_skills
 from hybrid_jax.contracts import PlanResult
-from hybrid_jax.errors import RunFolderError, UnknownNameError
+from hybrid_jax.errors import InputError, RunFolderError, UnknownNameError
 from hybrid_jax.execution.disturbances import CALM, DISTURBED, Disturbance
 from hybrid_jax.execution.plan_execution import ExecutionConfig
 from hybrid_jax.execution.scheduler import planning
@@ -115,12 +115,19 @@ def make_method(name: str, run: Run, paper: Run | None) -> Method | None:
 
     Raises:
         UnknownNameError: no such method.
+        InputError: the method replaces what a planner of preset `paper` does not have.
         RunFolderError: the paper's run is of another cell, or a run lacks a stage.
     """
     if name not in METHODS:
         raise UnknownNameError("method", name, METHODS)
     if name in PAPERS:
         return _paper(name, run, paper)
+    if run.preset.planner.handover and name != "hybrid":
+        # what they replace is no part of its planner: they would measure the hybrid again
+        raise InputError(
+            f"method {name!r} is made for other presets than that of {run.folder}; "
+            f"name some of: hybrid, {', '.join(PAPERS)}"
+        )
     planner = load_planner(run)
     if name == "ompl":
         return _ompl(planner)
